@@ -168,10 +168,10 @@ def _cut(
         return np.zeros(len(points), dtype=np.bool_), None, None, None
     if settings.method == "patchwork":
         return _patchwork(points, peak_m), None, None, None
-    if shared is None or shared.threshold_m is None:
+    threshold_m = shared.threshold_m if shared else None
+    iterations = shared.iterations if shared else None
+    if threshold_m is None:
         threshold_m, iterations = _lower_threshold(points, height, peak_m, settings)
-    else:
-        threshold_m, iterations = shared.threshold_m, shared.iterations
     is_ground = height < threshold_m
     loss = _variance_loss(points, height, is_ground, peak_m, settings)
     return is_ground, threshold_m, loss, iterations

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from ...schemas.columns import SIDES, Row
-from ...schemas.metric_catalogue import INTENSITY_SCORES, RAY_SCORES
+from ...schemas.metric_catalogue import scores_of
 from ...stages.arrays import BoolArray, transform_of
 from ...stages.clean import seen_from
 from ...stages.intensity import score_intensity
@@ -55,7 +55,7 @@ def _result(inputs: Inputs, rays: Rays | str, ground: Sequence[pa.Table]) -> Job
     ----------
     ground : the table of each side, whose rows the returns are
     """
-    of_pair: Metadata = {metric.column: None for metric in (*RAY_SCORES, *INTENSITY_SCORES)}
+    of_pair: Metadata = dict.fromkeys(scores_of("ray", "intensity"))
     of_pair |= {"rays_reason": None, "intensity_note": None}
     if isinstance(rays, str):
         of_pair["rays_reason"] = rays

@@ -21,13 +21,11 @@ from ...schemas.errors import (
     suggestion,
 )
 from ...schemas.metric_catalogue import (
-    COVERAGE_SCORES,
     DISTRIBUTED,
     METRIC,
     OBJECT_METRICS,
-    PIECE_SCORES,
     RAY_MEANS,
-    SURFACE_SCORES,
+    scores_of,
 )
 from ...schemas.results import Cause, Unknown
 from ...stages.arrays import FloatArray, IndexArray
@@ -47,14 +45,11 @@ COUNTS = ("total", "mean", "max", "share")
 PAIR_SCORES = (
     "match_rate",
     *OBJECT_METRICS,
-    *(metric.column for metric in (*SURFACE_SCORES, *PIECE_SCORES)),
+    *scores_of("surface", "piece"),
 )
 #: Names by which a gate knows other columns: `covered.real.0.3m` is `covered_real_0p3m`, `rays.bias_m` `rays_bias_m`.
 DOTTED = {
-    **{
-        metric.column.replace("_", ".").replace("p", "."): metric.column
-        for metric in COVERAGE_SCORES
-    },
+    **{name.replace("_", ".").replace("p", "."): name for name in scores_of("coverage")},
     **{column.replace("rays_", "rays."): column for column in RAY_MEANS},
 }
 #: Estimated properties of both sensors: `sensor.sim.range_noise_m` is the column `sensor_sim_range_noise_m`.
