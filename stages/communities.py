@@ -67,8 +67,7 @@ def canonical_ids(labels: NDArray[np.integer], order: IntArray | None = None) ->
         return_inverse=True,
         return_counts=True,
     )
-    new_id = np.empty(len(size), dtype=np.int32)
-    new_id[np.lexsort((first, -size))] = np.arange(len(size), dtype=np.int32)
+    new_id = np.argsort(np.lexsort((first, -size)))
     canonical = np.empty(len(labels), dtype=np.int32)
     canonical[order] = new_id[dense]
     return canonical
@@ -78,8 +77,7 @@ def _scikit_network(n_nodes: int, edges: Edges, seed: int, order: IntArray | Non
     """Louvain in the node order of `shuffle_nodes=True`, but sorting the shuffled matrix costs a quarter."""
     if order is None:
         order = np.random.RandomState(seed).permutation(n_nodes).astype(np.int32)
-    place = np.empty(n_nodes, dtype=np.int32)
-    place[order] = np.arange(n_nodes, dtype=np.int32)
+    place = np.argsort(order).astype(np.int32)
     return _louvain(_shuffled_adjacency(n_nodes, edges, order, place))[place]
 
 

@@ -14,6 +14,7 @@ from ..schemas.results import Number
 from .arrays import BoolArray, FloatArray, IntArray, sums_by_id
 from .reference import visiting_order
 from .statistics.validation import double_validation_metric
+from .summary import median_of
 from .surfels import fit_planes
 
 SAMPLE_POINTS = 2000
@@ -228,14 +229,14 @@ def compare_roughness(real: Surface, sim: Surface) -> dict[str, Number]:
     ----------
     real, sim : both sides; all values are None if a side has too few points
     """
-    if not len(real.roughness_m) or not len(sim.roughness_m):
-        return dict.fromkeys(
-            ("roughness_real_m", "roughness_sim_m", "roughness_bias_m", "roughness_area_m"),
-        )
-    apart = double_validation_metric(real.roughness_m, sim.roughness_m)
+    real_m = real.roughness_m
+    sim_m = sim.roughness_m
+    if not len(real_m) or not len(sim_m):
+        real_m = sim_m = np.empty(0)
+    apart = double_validation_metric(real_m, sim_m)
     return {
-        "roughness_real_m": float(np.median(real.roughness_m)),
-        "roughness_sim_m": float(np.median(sim.roughness_m)),
+        "roughness_real_m": median_of(real_m),
+        "roughness_sim_m": median_of(sim_m),
         "roughness_bias_m": apart.bias,
         "roughness_area_m": apart.area,
     }

@@ -248,8 +248,7 @@ def _numbered(symmetric: scipy.sparse.csr_matrix) -> tuple[scipy.sparse.coo_matr
     """Lower triangle with nodes numbered from end to end, and the last row of each column, or one before it."""
     pairs = symmetric.tocoo()
     order = _from_end(symmetric)
-    place = np.empty(len(order), dtype=np.intp)
-    place[order] = np.arange(len(order))
+    place = np.argsort(order)
     row = place[pairs.row]
     column = place[pairs.col]
     is_lower = row >= column
