@@ -302,7 +302,6 @@ class MetricsSettings(_Group):
     histogram_points : histogram: points sampled per side, all pairs of which are measured
     histogram_bins : histogram: equal bins from 0 to 1
     histogram_order : histogram: order of the Minkowski distance
-    icp_distance_m : ICP: largest distance of corresponding points
     """
 
     baselines: BaselineNames = Field(
@@ -315,7 +314,6 @@ class MetricsSettings(_Group):
     histogram_points: int = Field(2000, ge=2, le=10_000)
     histogram_bins: int = Field(100, ge=2, le=10_000)
     histogram_order: float = Field(2.0, ge=1)
-    icp_distance_m: float = Field(1.0, gt=0)
 
 
 class StabilitySettings(_Group):

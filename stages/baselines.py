@@ -10,7 +10,6 @@ import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.util import find_spec
 
 import numpy as np
 import scipy
@@ -26,8 +25,6 @@ from .selection import Selection
 
 _SEED = 0  # of samples
 _MAX_PIVOTS = 10**12  # of the network simplex; far more than it needs, so that it always converges
-_ICP_POINTS = 11  # the library warns of fewer
-_ICP_ITERATIONS = 100
 # Range images of LiDAR4D: rows and columns, degrees from the upper edge to the horizon and to the lower edge, range
 _IMAGE_ROWS, _IMAGE_COLUMNS = 66, 1030
 _IMAGE_UP_DEG, _IMAGE_DEG = 2.0, 26.9
@@ -247,54 +244,6 @@ def histogram(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> B
     return (Baseline("histogram", float(distance)),)
 
 
-def icp(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
-    """Register the simulated points to the real ones by point-to-point ICP: fitness and RMSE.
-
-    Besl and McKay, A method for registration of 3-D shapes, IEEE PAMI 1992, with correspondences up to
-    `icp_distance_m` only; small_gicp's implementation (Koide, small_gicp: efficient and parallel algorithms for point
-    cloud registration, JOSS 2024), started from the identity, one thread. With T the resulting motion and
-    d_y = min_x |x - T y|: fitness = share of y with d_y <= icp_distance_m, rmse = root mean d_y^2 over these, which are
-    the definitions of Open3D's `evaluate_registration` (Zhou, Park and Koltun 2018).
-
-    Both are None without the library (an extra) or with too few points, the RMSE also without correspondences.
-
-    Parameters
-    ----------
-    real, sim : (n, 3), (m, 3) float64, metres
-    """
-    n_fewest = min(len(real), len(sim))
-    if find_spec("small_gicp") is None:
-        missing = 'small_gicp is not installed; pip install "fidpipe[icp]"'
-        return _without_value(missing, "icp_fitness", "icp_rmse_m")
-    if n_fewest < _ICP_POINTS:
-        too_few = f"{n_fewest} points on a side, at least {_ICP_POINTS} are needed for ICP"
-        return _without_value(too_few, "icp_fitness", "icp_rmse_m")
-    import small_gicp
-
-    # Rounding of the normal equations grows with the distance from the origin.
-    centre = real.mean(axis=0)
-    target = real - centre
-    source = sim - centre
-    result = small_gicp.align(
-        small_gicp.PointCloud(target),
-        small_gicp.PointCloud(source),
-        registration_type="ICP",
-        max_correspondence_distance=settings.icp_distance_m,
-        num_threads=1,
-        max_iterations=_ICP_ITERATIONS,
-    )
-    T_real_sim: FloatArray = result.T_target_source
-    moved = source @ T_real_sim[:3, :3].T + T_real_sim[:3, 3]
-    apart, _ = scipy.spatial.cKDTree(target).query(moved)
-    near = apart[apart <= settings.icp_distance_m]
-    reason = None if result.converged else "ICP had not converged"
-    fitness = Baseline("icp_fitness", len(near) / len(apart), reason)
-    if not len(near):
-        reason = f"no points within {settings.icp_distance_m:g} m of each other"
-        return fitness, Baseline("icp_rmse_m", None, reason)
-    return fitness, Baseline("icp_rmse_m", float(np.sqrt(np.mean(near**2))), reason)
-
-
 def _emd(
     real: FloatArray, sim: FloatArray, selection: Selection, settings: MetricsSettings
 ) -> Baselines:
@@ -457,7 +406,6 @@ OF_POINTS: dict[str, _OfPoints] = {
     "f_score": f_score,
     "dcd": dcd,
     "histogram": histogram,
-    "icp": icp,
 }
 #: Name in the settings of the scores of whole scans, ground included; objects do not have them.
 OF_SCANS = "nvs"

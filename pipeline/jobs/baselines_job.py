@@ -125,7 +125,7 @@ STAGE = Stage(
     grain=Grain.PAIR,
     version=4,
     make=make_baselines,
-    libraries=("POT", "small_gicp"),
+    libraries=("POT",),
     is_wanted=_is_wanted,
     summarise=summarise_baselines,
 )
