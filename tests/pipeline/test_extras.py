@@ -192,7 +192,6 @@ def test_the_command_takes_the_seeds_as_an_option_and_shows_both(again, dataset)
     assert "How stable the scores are (2 seeds, 2 pairs)" in done.stdout
     for name in (
         "chamfer_squared_m2",
-        "icp_rmse_m",
         "objects",
         "scans",
         "m²",
