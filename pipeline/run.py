@@ -57,7 +57,6 @@ from .stage import OF_PAIR, Stage
 from .storage.files import key_of
 from .storage.folder import RunFolder, check_folder, refuse_overwrite
 from .storage.run_record import (
-    StageSeconds,
     has_ended,
     last_results,
     library_versions,
@@ -187,7 +186,6 @@ class Run:
     contents, faults : of input files, see `hash_files`
     survey, hashes : jobs to do, and hashes of input files by pair_id and side
     n_jobs : current jobs
-    seconds : of the current jobs
     keys : by pair, a hash of the keys that its row of `pairs` depends on
     notes, suspects : see `run_record`; by pair
     n_workers : 0 if none were needed
@@ -208,7 +206,6 @@ class Run:
         self.survey = Survey()
         self.hashes: dict[str, dict[str, str]] = {}
         self.n_jobs = 0
-        self.seconds = StageSeconds()
         self.keys: dict[str, str] = {}
         self.notes: defaultdict[str, list[str]] = defaultdict(list)
         self.suspects: dict[str, FrameSuspect] = {}
@@ -380,7 +377,6 @@ class Run:
             ),
             summary=summarise_pairs(scored),
             findings=findings,
-            seconds=self.seconds.result(),
             inputs=dict(sorted(self.hashes.items())),
             times_s={name: time_s for name, time_s in times_s.items() if time_s is not None},
             frames=dict(sorted(self.suspects.items())),
@@ -413,7 +409,6 @@ class Run:
         if suspect:
             self.suspects[pair.pair_id] = suspect
         for job in records:
-            self.seconds.add(job)
             for note in job.metadata.get("notes", ()):
                 self.notes[pair.pair_id].append(f"{job.part} side: {note}")
         self.n_jobs += len(records)
@@ -426,8 +421,7 @@ class Run:
 
     def _write_record(self, record: RunHeader) -> None:
         """Write the settings and the record, or its header."""
-        out = self.folder.folder
-        write_record(out, self.settings, record.as_dict(), self.folder.check_token)
+        write_record(self.folder, self.settings, record.as_dict())
 
     def _end_phase(self, name: str) -> None:
         now = perf_counter()

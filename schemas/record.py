@@ -96,13 +96,6 @@ class PairCounts(Result):
     to_do: int
 
 
-class Seconds(Result):
-    """Seconds by stage and step (mean over the pairs that have the stage), and by pair and stage."""
-
-    mean: dict[str, dict[str, float]]
-    pairs: dict[str, dict[str, float]]
-
-
 ELSEWHERE = "of another place"  #: reading of a pair whose scans do not show the same place
 
 
@@ -167,7 +160,6 @@ class RunRecord(RunHeader):
         BeforeValidator(lambda value: value or None),
         PlainSerializer(lambda found: {} if found is None else found.as_dict()),
     ]
-    seconds: Seconds
     inputs: dict[str, dict[str, str]]
     overview: Overview | None = None
     times_s: dict[str, float] = Field(default_factory=dict)

@@ -73,14 +73,6 @@ class Distribution(Quantiles):
     cv: float | None
 
 
-class ScoreDistributions(Result):
-    """The distributions over all matched objects."""
-
-    cdc: Distribution
-    r_lambda: Distribution
-    r_gap: Distribution
-
-
 class RankCorrelation(Result):
     """Spearman's rho and Kendall's tau-b of two scores over n objects; null for fewer than 3 or constant scores."""
 
@@ -96,38 +88,6 @@ class DensityRatio(Quantiles):
     share_above_four: float | None
 
 
-class Unmatched(Result):
-    """Objects of each side in a group, and how many of them the other side lacks; a share of no objects is null."""
-
-    n_real: int
-    n_not_found: int
-    not_found_share: float | None
-    n_sim: int
-    n_extra: int
-    extra_share: float | None
-
-
-class _Band(Result):
-    from_m: float
-    to_m: float | None
-
-
-class RangeBand(Unmatched, _Band):  # in this order the distances come first in JSON
-    """Objects between two distances from the sensor; `to_m` is null if the band has no end."""
-
-
-class RangeFindings(Result):
-    """Objects by distance from the sensor.
-
-    median_matched, median_unmatched : metres; unmatched objects of both sides, each by its own side
-    bands : of fixed edges
-    """
-
-    median_matched: float | None
-    median_unmatched: float | None
-    bands: tuple[RangeBand, ...]
-
-
 class GroupMean(Result):
     """Mean and standard deviation (n - 1) of a score over the n objects of a group that have it."""
 
@@ -136,39 +96,47 @@ class GroupMean(Result):
     n: int
 
 
-class _Label(Result):
-    label: str
+class ObjectGroup(Result):
+    """The objects of all pairs in a range band or of a class; a matched object has the class of its real side.
 
-
-class ClassFindings(Unmatched, _Label):  # in this order the label comes first in JSON
-    """The objects of one class; a matched object has the class of its real side.
-
-    scores : of cdc, r_lambda, r_gap
+    by : "range", each object by its own side, or "class"
+    n_real, n_sim : objects of each side
+    n_not_found, n_extra : those of them that the other side lacks
+    n_real_points, n_sim_points : of these objects
+    missing_share, invented_share : of these points, those without a counterpart within 0.3 m; null without points
+    scores : of cdc, r_lambda, r_gap, over the matched real objects
     """
 
-    n_matched: int
+    by: str
+    name: str
+    n_real: int
+    n_not_found: int
+    n_sim: int
+    n_extra: int
+    n_real_points: int
+    missing_share: float | None
+    n_sim_points: int
+    invented_share: float | None
     scores: dict[str, GroupMean]
 
 
-class ObjectFindings(Result):
-    """Summary of the objects of all pairs: the numbers of the paper's section "Real experiments"."""
+class Findings(Result):
+    """Summary of the objects of all pairs: the numbers of the paper's section "Real experiments".
 
-    n_pairs: int
-    n_matched: int
-    distributions: ScoreDistributions
-    rank_correlation: RankCorrelation
-    density_ratio: DensityRatio
-    range_m: RangeFindings
-    classes: tuple[ClassFindings, ...]
-
-
-class Findings(ObjectFindings):
-    """The findings as they are recorded.
-
+    distributions : of cdc, r_lambda, r_gap, over all matched objects
+    median_matched_m, median_unmatched_m : distance from the sensor; unmatched objects of both sides, each by its own
+    groups : by range, then by class, the class with most objects first
     n_places : independent places: copies and neighbouring frames count once
     places : by scored pair, the number of its place
     """
 
+    n_matched: int
+    distributions: dict[str, Distribution]
+    rank_correlation: RankCorrelation
+    density_ratio: DensityRatio
+    median_matched_m: float | None
+    median_unmatched_m: float | None
+    groups: tuple[ObjectGroup, ...]
     n_places: int
     places: dict[str, int]
 
@@ -206,6 +174,19 @@ class Cause(Result):
     limbs: tuple[int, ...] = ()
 
 
+class ChangedCause(Cause):
+    """A cause that changed from one run to another by `estimate`.
+
+    before, after : mean amounts of both runs, simulated minus real; null if unknown
+    verdict : "worse" or "better" for a cause of the sensor or its pose, "changed" if that cannot be told; "" for one of
+        the world, about which the families decide
+    """
+
+    before: float | None
+    after: float | None
+    verdict: str
+
+
 class Piece(Result):
     """One of the largest missing, invented or moved pieces of surface; columns of table `pieces`.
 
@@ -228,22 +209,6 @@ class Piece(Result):
     extents_m: tuple[float, float, float]
     words: str
     fate_words: str
-
-
-class SurfaceGroup(Result):
-    """Surface of a range band or a class without a counterpart within 0.3 m, over all pairs; shares of object points.
-
-    group : "range" or "class"
-    n_real, n_sim : object points
-    missing_share, invented_share : of the real and of the simulated points; null without points
-    """
-
-    group: str
-    name: str
-    n_real: int
-    missing_share: float | None
-    n_sim: int
-    invented_share: float | None
 
 
 class Caution(Result):
@@ -272,7 +237,6 @@ class Overview(Result):
     small : displacements that explain too little of the distance to be named, as sentences
     doubts : why points of the scans cannot be trusted, one line for each side and kind
     pieces : the largest pieces
-    surface : coverage by range and by class
     n_aligned, n_badly_aligned : objects with an r_lambda, and those whose alignment is too bad for it
     trust : limits to the trust in the numbers, most important first
     """
@@ -280,7 +244,6 @@ class Overview(Result):
     causes: tuple[Cause, ...]
     unknown: tuple[Unknown, ...]
     pieces: tuple[Piece, ...]
-    surface: tuple[SurfaceGroup, ...]
     n_aligned: int
     n_badly_aligned: int
     trust: tuple[Caution, ...] = ()

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .arrays import BoolArray, FloatArray, IntArray
+from .linalg.nearest import search_tree
 
 #: A point is covered if the other side has a point within this distance.
 COVERAGE_DISTANCES_M = (0.1, 0.3, 1.0)
@@ -53,10 +54,8 @@ def nearest_distances(real: FloatArray, sim: FloatArray) -> tuple[FloatArray, Fl
     ----------
     real, sim : (n, 3), (m, 3) float64, metres, at least one point each
     """
-    from scipy.spatial import cKDTree  # not needed to show a run
-
-    to_sim, _ = cKDTree(sim).query(real)
-    to_real, _ = cKDTree(real).query(sim)
+    to_sim, _ = search_tree(sim).query(real)
+    to_real, _ = search_tree(real).query(sim)
     return to_sim, to_real
 
 

@@ -19,7 +19,7 @@ BEHIND_DEG = 180.0
 SEAMS_DEG = (BEHIND_DEG, 0.0, 90.0, -90.0)
 _COARSE_REACHES_M = (1.5, 1.5)
 _CLEARLY = 0.93  # misfit of another seam, over that behind
-_IS_ANGLE = np.isin(PARAMETERS, ("roll", "pitch", "yaw"))
+_IS_ANGLE = np.isin(PARAMETERS, ("roll", "pitch", "yaw", "motion turning"))
 _VOXEL_M = 0.5
 _MOST_PLACES = 6000
 _NEIGHBOURS = 16
@@ -28,7 +28,7 @@ _REACHES_M = (1.5, 1.5, 1.0, 1.0, 0.7, 0.7)
 _FINE_REACH_M, _FINE_STEPS = 0.5, 8
 _TUKEY, _LEAST_SPREAD_M = 4.685, 0.01  # efficiency of 95 % under normal errors
 #: Standard deviations of the parameters; radians.
-_PRIOR = np.array([1.0, 1.0, 1.0, 0.05, 0.05, 0.05, 0.05, 0.5, 3.0, 3.0, 0.5])
+_PRIOR = np.array([1.0, 1.0, 1.0, 0.05, 0.05, 0.05, 0.05, 0.5, 3.0, 3.0, 0.5, 0.5])
 #: If the variance of the road's height stays above this part of its prior, hardly anything but the road shows a height:
 #: then the road is as high as the world, and large information keeps the difference at 0.
 _UNKNOWN, _FIXED = 0.5, 1e9
@@ -40,7 +40,7 @@ _NOISE_M, _CORRELATED = 0.1, 20  # of a distance to a plane, and the places that
 class Displacement:
     """Displacement of the simulated side: x_sim = x + displacement(x).
 
-    values : (11,) float64, of `PARAMETERS`
+    values : (12,) float64, of `PARAMETERS`
     seam_deg : azimuth at which a sweep begins and ends; the pose is right in the opposite direction
     """
 
@@ -109,7 +109,7 @@ class _Fit:
     """Planes of the real surface, and the simulated points that are fitted to them.
 
     places, normal : (n, 3) of each plane
-    derivatives : (11, 3, n) of each place by the parameters
+    derivatives : (12, 3, n) of each place by the parameters
     sim : search tree of the simulated points
     """
 
@@ -165,7 +165,7 @@ def _biweight(residual: FloatArray) -> FloatArray:
 
 
 def _derivatives(points: FloatArray, is_ground: BoolArray, seam_deg: float) -> FloatArray:
-    """(11, 3, n) derivative of each point's position by the parameters, angles in radians."""
+    """(12, 3, n) derivative of each point's position by the parameters, angles in radians."""
     derivatives = np.zeros((len(PARAMETERS), 3, len(points)))
     x, y, z = points.T
     derivatives[[0, 1, 2], [0, 1, 2]] = 1.0
@@ -180,7 +180,8 @@ def _derivatives(points: FloatArray, is_ground: BoolArray, seam_deg: float) -> F
     since_seam = np.arctan2(y, x) - np.radians(seam_deg)
     turn = np.mod(since_seam, 2 * np.pi) / (2 * np.pi) - 0.5
     derivatives[8, 0] = derivatives[9, 1] = turn
-    derivatives[10, 2] = is_ground
+    derivatives[10] = turn * derivatives[5]
+    derivatives[11, 2] = is_ground
     return derivatives
 
 

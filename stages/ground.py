@@ -14,7 +14,7 @@ from ..schemas.errors import StageError
 from ..schemas.settings import GroundSettings, Settings
 from .arrays import BoolArray, FloatArray, Watch, unwatched
 from .clean import CleanResult, clean_scan, too_few_left
-from .linalg.nearest import nearest_points
+from .linalg.nearest import nearest_points, search_tree
 
 MIN_OBJECT_POINTS = 8
 MAX_TILT_DEG = 10.0
@@ -269,7 +269,7 @@ def _on_real_road(
     ground = real_points[cut.is_ground]
     if not len(ground):
         return on_road
-    objects = scipy.spatial.cKDTree(real_points[~cut.is_ground])
+    objects = search_tree(real_points[~cut.is_ground])
     distance_m, _ = objects.query(points, distance_upper_bound=2 * NO_OBJECT_M)
     alone = np.flatnonzero(distance_m > NO_OBJECT_M)
     nearest, ground_m = nearest_points(ground, points[alone])

@@ -14,6 +14,7 @@ from ..schemas.results import Number
 from ..schemas.settings import PieceSettings
 from .arrays import BoolArray, FloatArray, IndexArray, IntArray, azimuths_deg
 from .communities import canonical_ids
+from .linalg.nearest import search_tree
 from .linalg.subgraph import connected_points
 from .objects import Objects, describe_objects
 
@@ -128,7 +129,7 @@ def label_pieces(side: CutScan, other: CutScan, settings: PieceSettings) -> IntA
     """Piece of each clean point of a side, (n,) int32, -1 for none."""
     labels = np.full(len(side.points), -1, dtype=np.int32)
     objects = np.flatnonzero(~side.is_ground)
-    distance_m, _ = scipy.spatial.cKDTree(other.points).query(side.points[objects])
+    distance_m, _ = search_tree(other.points).query(side.points[objects])
     uncovered = objects[distance_m > settings.reach_m]
     uncovered = uncovered[np.lexsort(side.points[uncovered].T[::-1])]
     ids = canonical_ids(connected_points(side.points[uncovered], settings.link_m))

@@ -9,6 +9,7 @@ import scipy
 
 from ..schemas.results import Number
 from .arrays import BoolArray, FloatArray, IndexArray, azimuths_deg
+from .linalg.nearest import search_tree
 from .sensor_description import SensorDescription
 from .statistics.findings import BAND_EDGES_M
 
@@ -191,7 +192,7 @@ def _compare_ranges(
     difference_m = sim_range_m[is_both] - real_range_m[is_both]
     noise_m = np.hypot(real.sensor.range_noise_m or 0.0, sim.sensor.range_noise_m or 0.0)
     is_same = np.abs(difference_m) <= max(SAME_M, SAME_SIGMAS * noise_m)
-    tree = scipy.spatial.cKDTree(sim.points, balanced_tree=False)
+    tree = search_tree(sim.points)
     surface_m, _ = tree.query(met[only_real], distance_upper_bound=SURFACE_M)
     outcome = np.where(is_sim, SIM_ONLY, NONE)
     outcome[is_both] = np.select([is_same, difference_m < 0], [SAME, IN_FRONT], BEHIND)

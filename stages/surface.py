@@ -12,6 +12,7 @@ import scipy
 
 from ..schemas.results import Number
 from .arrays import BoolArray, FloatArray, IntArray, sums_by_id
+from .linalg.nearest import search_tree
 from .reference import visiting_order
 from .statistics.validation import double_validation_metric
 from .summary import median_of
@@ -98,7 +99,7 @@ def describe_surface(points: FloatArray, seed: int = 0) -> Surface:
     """
     rows = visiting_order(points, seed)
     ordered = points[rows]
-    tree = scipy.spatial.cKDTree(ordered)
+    tree = search_tree(ordered)
     sample = ordered[:SAMPLE_POINTS] if len(points) >= NEIGHBOURS else ordered[:0]
     _, near = tree.query(sample, k=NEIGHBOURS)
     off = ordered[near] - sample[:, None]
@@ -139,7 +140,7 @@ def signed_distances(points: FloatArray, other: FloatArray, reach_m: float) -> F
     other = other[np.unique(np.floor(other / _PLANE_CELL_M), axis=0, return_index=True)[1]]
     if len(other) < _PLANE_POINTS:
         return signed
-    rows = np.flatnonzero(scipy.spatial.cKDTree(other).query(points)[0] <= reach_m)
+    rows = np.flatnonzero(search_tree(other).query(points)[0] <= reach_m)
     planes = fit_planes(other, points[rows], _PLANE_POINTS)
     l3, l2, l1 = planes.variance.T
     is_plane = l2 - l3 >= MIN_PLANARITY * l1

@@ -8,6 +8,7 @@ import numpy as np
 import scipy
 
 from .arrays import BoolArray, FloatArray, IndexArray, sums_by_id
+from .linalg.nearest import search_tree
 
 _BROAD = 0.02  # l2 / l1 of a plane that is not a line, at least
 _ROWS_AT_ONCE = 8192  # limits the memory of neighbourhoods
@@ -64,7 +65,7 @@ def fit_planes(
     >>> np.abs(planes.normal).tolist(), planes.n_neighbours.tolist()
     ([[0.0, 0.0, 1.0]], [9])
     """
-    tree = surface if isinstance(surface, scipy.spatial.cKDTree) else scipy.spatial.cKDTree(surface)
+    tree = surface if isinstance(surface, scipy.spatial.cKDTree) else search_tree(surface)
     points = tree.data
     n = len(places)
     n_most = min(n_most, len(points))

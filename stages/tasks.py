@@ -14,6 +14,7 @@ import scipy
 
 from ..schemas.settings import TaskSettings
 from .arrays import BoolArray, FloatArray, IndexArray, level_m, sums_by_id
+from .linalg.nearest import search_tree
 from .pieces import CutScan
 from .summary import median_of
 from .surfels import voxel_ids
@@ -212,7 +213,7 @@ def compare_ground(real: CutScan, sim: CutScan, settings: TaskSettings) -> tuple
 
 def counterparts(points: FloatArray, others: FloatArray) -> IndexArray:
     """The nearest point of the other side, (n,); -1 if none is within 0.3 m."""
-    tree = scipy.spatial.cKDTree(others)
+    tree = search_tree(others)
     distance_m, nearest = tree.query(points, distance_upper_bound=_SEEN_WITHIN_M)
     return np.where(np.isfinite(distance_m), nearest, -1)
 

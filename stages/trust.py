@@ -63,9 +63,11 @@ _DENSE_PART = 5  # a fifth of the points
 _DENSE_M = 15.0
 _SEVERAL_SWEEPS = "two or more sweeps or sensors, or second returns, in one scan? {}; export one revolution per file"
 _NEAR_M, _NEAR_SHARE = 5.0, 0.001
+_NEAR_ROAD_M = 10.0  # beams of -15 degrees on a roof meet the road after 7 to 9 m
 _ROUNDED_M, _COARSE_M = 0.0095, 0.03
 _FEWEST_VALUES = 20
-_FEWEST_ROWS, _OFF_CENTRE, _MOST = 4, 0.05, 0.9  # of a range image; share of a column or row
+_FEWEST_ROWS, _MOST = 4, 0.9  # of a range image
+_OFF_CENTRE, _OFF_ROW = 0.002, 0.05  # of a column, as 0.4 % of noiseless sweeps begin; of a row
 _CHANGING = 2.0  # two sweeps of a moving sensor have 4, single ones up to 0.9
 _SURFACE_PART = 0.2  # of the range, between returns of one surface
 _FEWEST_AT_EDGE, _BEYOND_EDGE, _INSIDE = 20, 0.2, 0.92
@@ -303,7 +305,7 @@ def _are_multiples(values: FloatArray, unit: float) -> bool:
     """True if all values are about multiples of a unit, whose exact value follows from them."""
     numbers = np.round(values / unit)
     exact = values / np.median(values / numbers)
-    return bool(np.abs(exact - numbers).max() < _OFF_CENTRE)
+    return bool(np.abs(exact - numbers).max() < _OFF_ROW)
 
 
 def thinned_text(gap_deg: FloatArray, range_m: FloatArray, points: FloatArray) -> str | None:
@@ -397,10 +399,10 @@ def _is_several_sweeps(points: FloatArray) -> bool:
 
 
 @np.errstate(over="ignore")  # distances may be infinite
-def is_far_from_origin(points: FloatArray) -> bool:
-    """True if hardly any point lies within 5 m of the origin, where the sensor should be."""
+def is_far_from_origin(points: FloatArray, near_m: float = _NEAR_M) -> bool:
+    """True if hardly any point lies near the origin, where the sensor should be."""
     range_m = np.linalg.norm(points[points.any(axis=1)], axis=1)
-    return len(range_m) > 0 and float((range_m < _NEAR_M).mean()) < _NEAR_SHARE
+    return len(range_m) > 0 and float((range_m < near_m).mean()) < _NEAR_SHARE
 
 
 def _position_text(points: FloatArray) -> str | None:
@@ -412,8 +414,8 @@ def _position_text(points: FloatArray) -> str | None:
     ----------
     points : (n, 3) float64, metres
     """
-    if is_far_from_origin(points):
-        reason = f"nothing within {_NEAR_M:g} m of the origin (are they in metres?)"
+    if is_far_from_origin(points, _NEAR_ROAD_M):
+        reason = f"nothing within {_NEAR_ROAD_M:g} m of the origin (are they in metres?)"
     else:
         sample = points[np.random.default_rng(0).permutation(len(points))[:_SAMPLE]]
         apart_m, _ = scipy.spatial.cKDTree(sample).query(sample, k=_NEIGHBOURS)

@@ -35,7 +35,6 @@ def diagnose(
     since: Annotated[Path | None, typer.Option(metavar="RUN")] = None,
     tell_apart: bool = False,
     best_case: BestCase = None,
-    picture: Annotated[Path | None, typer.Option(metavar="PNG")] = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
     as_json: AsJson = False,
@@ -61,7 +60,6 @@ def diagnose(
     since : Run of an earlier build on the same real scans.
     tell_apart : Test if a classifier can distinguish real and simulated points.
     best_case : With --tell-apart: best case whose second measurements are compared.
-    picture : With --tell-apart: map of the recognised points.
 
     Examples
     --------
@@ -71,7 +69,7 @@ def diagnose(
 
     fidpipe diagnose runs/dataset --json | jq '.causes[0]'
 
-    fidpipe diagnose runs/dataset --tell-apart --picture map.png
+    fidpipe diagnose runs/dataset --tell-apart
 
     fidpipe diagnose real/ sim/ --tell-apart --set input.sim_frame=carla
     """
@@ -79,7 +77,7 @@ def diagnose(
 
     output = format_of(as_json, as_markdown, as_csv)
     check_machines(workers, scheduler)
-    if not tell_apart and (len(sources) > 1 or best_case or picture or settings or assignments):
+    if not tell_apart and (len(sources) > 1 or best_case or settings or assignments):
         raise typer.BadParameter("expected one run and no option of --tell-apart")
     if tell_apart and (since or as_csv):
         raise typer.BadParameter("--since and --csv are for causes; leave out --tell-apart")
@@ -88,7 +86,7 @@ def diagnose(
             raise typer.BadParameter("a run has its settings; leave out --settings and --set")
         if len(sources) > 2 or (len(sources) == 2 and best_case):
             raise typer.BadParameter("expected one run, or two folders without --best-case")
-        _tell_apart(sources, best_case, picture, load(settings, assignments or []), output)
+        _tell_apart(sources, best_case, load(settings, assignments or []), output)
         return
     from ..diagnose.diagnose import diagnose_run
     from ..diagnose.diagnosis_view import diagnosis_records, diagnosis_view
@@ -109,27 +107,20 @@ def diagnose(
 
 
 def _tell_apart(
-    sources: list[Path],
-    best_case: Path | None,
-    picture: Path | None,
-    settings: Settings,
-    output: str,
+    sources: list[Path], best_case: Path | None, settings: Settings, output: str
 ) -> None:
+    from ..diagnose.diagnosis_view import tell_apart_view
     from ..diagnose.tell_apart import tell_apart_folders, tell_apart_run
-    from ..diagnose.tell_apart_view import draw_map, tell_apart_view
     from ..report.view import Table
     from ..results.finished import FinishedRun
 
     if len(sources) == 2:
-        found = tell_apart_folders(sources[0], sources[1], settings)
+        values = tell_apart_folders(sources[0], sources[1], settings)
     else:
-        found = tell_apart_run(
-            FinishedRun(sources[0]), FinishedRun(best_case) if best_case else None
-        )
-    if picture:
-        draw_map(found, picture)
-    view = tell_apart_view(found)
-    print_as(output, lambda: view, lambda: Table("", (), ()), lambda: {"tell_apart": found.values})
+        second = FinishedRun(best_case) if best_case else None
+        values = tell_apart_run(FinishedRun(sources[0]), second)
+    view = tell_apart_view(" and ".join(map(str, sources)), values)
+    print_as(output, lambda: view, lambda: Table("", (), ()), lambda: {"tell_apart": values})
 
 
 def tasks(

@@ -137,16 +137,12 @@ def read_label_names(folder: Path) -> dict[int, str]:
 
 
 def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
-    if not _has_sides(folder):
+    if not all((folder / side).is_dir() for side in SIDES):
         names = sorted(path.name for path in folder.iterdir())
         content = ", ".join(names[:_MOST_NAMES]) if names else "nothing"
-        near = [folder.absolute().parent, *folder.glob("*"), *folder.glob("*/*")]
-        datasets = list(filter(_has_sides, near))
-        advice = "two folders of scans, or two recordings, may have any name: fidpipe run REAL SIM"
-        if datasets:
-            advice = f"did you mean {datasets[0]}?"
         raise DatasetError(
-            f"dataset {folder}: expected folders real/ and sim/ or a {MANIFEST}, got {content}; {advice}"
+            f"dataset {folder}: expected folders real/ and sim/ or a {MANIFEST}, got {content}; two "
+            "folders of scans, or two recordings, may have any name: fidpipe run REAL SIM"
         )
     scans = {side: _scans_by_stem(folder / side, warnings) for side in SIDES}
     pairs = []
@@ -158,10 +154,6 @@ def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
                 fault = f"{scan}: {NO_PARTNER}; expected a scan named {stem} in {folder / other}"
         pairs.append(ScanPair(stem, scans["real"].get(stem), scans["sim"].get(stem), fault=fault))
     return pairs
-
-
-def _has_sides(folder: Path) -> bool:
-    return all((folder / side).is_dir() for side in SIDES)
 
 
 def may_crash(pairs: Iterable[ScanPair]) -> bool:
@@ -235,13 +227,7 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
     DatasetError
         The file is not a CSV table, lacks a column, repeats a pair, or a value is not a number.
     """
-    try:
-        with manifest.open(newline="", encoding="utf-8-sig") as file:
-            table = csv.DictReader(file, restval="", skipinitialspace=True, strict=True)
-            lines: list[dict[Any, Any]] = list(table)
-    except (OSError, ValueError, csv.Error) as error:
-        raise DatasetError(f"{manifest}: not a CSV table ({str(error).strip()})") from error
-    columns = list(table.fieldnames or ())
+    columns, lines = read_rows(manifest)
     _check_columns(manifest, columns, warnings, needs_sim=needs_sim)
     rows = []
     for line, values in enumerate(lines, start=2):
@@ -257,6 +243,22 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
             raise DatasetError(f"{where}: pair_id {pair.pair_id} occurs twice; expected it once")
         pairs[pair.pair_id] = pair
     return list(pairs.values())
+
+
+def read_rows(manifest: Path) -> tuple[list[str], list[dict[Any, Any]]]:
+    """Columns and rows of a manifest, as text.
+
+    Raises
+    ------
+    DatasetError
+        The file is not a CSV table.
+    """
+    try:
+        with manifest.open(newline="", encoding="utf-8-sig") as file:
+            table = csv.DictReader(file, restval="", skipinitialspace=True, strict=True)
+            return list(table.fieldnames or ()), list(table)
+    except (OSError, ValueError, csv.Error) as error:
+        raise DatasetError(f"{manifest}: not a CSV table ({str(error).strip()})") from error
 
 
 def _check_columns(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ...schemas.errors import RunError
 from ...schemas.results import Diagnosis
-from ...schemas.settings import Settings, parse
+from ...schemas.settings import parse
 from ..datasets.pairs import ScanPair
 from ..engine.engine import Machines, schedule_of, started_pool
 from ..engine.plan import OUT_OF_DATE, PairPlan, plan_jobs, plan_on_results
@@ -36,12 +36,7 @@ def diagnose_run(folder: Path, reporter: Reporter, machines: Machines | None = N
     overview = run.record.overview
     if overview is None:
         raise RunError(f"run {folder}: no pair is scored; fidpipe status {folder} says why")
-    groups = {
-        name: values
-        for name, values in run.record.settings.items()
-        if name in Settings.model_fields
-    }
-    settings = parse(groups)
+    settings = parse(run.record.settings)
     stage = gains_stage({cause.name: cause.estimate for cause in causes_to_correct(overview)})
     jobs = plan_jobs((*stages_under(settings), stage), settings)
 

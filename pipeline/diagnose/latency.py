@@ -24,7 +24,7 @@ RealScan = tuple[FloatArray, BoolArray]
 #: Most pairs whose speed is fitted, evenly over the run.
 _MOST_PAIRS = 20
 _LONGEST_S, _FASTEST_M_S, _STEP_M = 0.5, 40.0, 1.5
-_LEAST_M_S, _AT_REST_M = 1.0, 0.02
+_LEAST_M_S = 1.0
 
 
 def latency_note(run: FinishedRun, causes: Sequence[Cause]) -> str:
@@ -39,7 +39,8 @@ def latency_note(run: FinishedRun, causes: Sequence[Cause]) -> str:
     for name in names:
         later, duration_s = following[name]
         speeds_m_s.append(speed_m_s(_real_scan(run, name), _real_scan(run, later), duration_s))
-    words = latency_words(read_causes(run.store, names)[AHEAD].amount, np.array(speeds_m_s))
+    ahead_m = read_causes(run.store, names)[AHEAD]["amount"]
+    words = latency_words(ahead_m.to_numpy(), np.array(speeds_m_s))
     return f"{AHEAD}: {words}" if words else ""
 
 
@@ -98,11 +99,10 @@ def latency_words(ahead_m: FloatArray, speeds_m_s: FloatArray) -> str:
     low_s = fit.slope - reach * fit.stderr
     high_s = fit.slope + reach * fit.stderr
     if low_s * high_s > 0:
-        late = f"{1e3 * fit.slope:.0f} ms of latency ({1e3 * low_s:.0f} to {1e3 * high_s:.0f})"
-        grows = f"in proportion to the speed: {late}"
-        if abs(fit.intercept) <= reach * fit.intercept_stderr + _AT_REST_M:
-            return f"{grows}; see poses and time stamps"
-        return f"partly {grows}, and {fit.intercept:+.2f} m at rest"
+        return (
+            f"grows with the speed: {1e3 * fit.slope:.0f} ms of latency ({1e3 * low_s:.0f} to "
+            f"{1e3 * high_s:.0f}), and {fit.intercept:+.2f} m at rest; see poses and time stamps"
+        )
     if not low_s <= alone_s <= high_s:
         return "the same at any speed, so no latency"
     return either

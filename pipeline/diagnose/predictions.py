@@ -6,6 +6,7 @@ Predictions are files named after the pairs: `PAIR.label` (a class for each poin
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -27,17 +28,76 @@ from ...stages.predictions import (
 )
 from ...stages.tasks import counterparts
 from ..datasets.pairs import read_label_names
+from ..datasets.readers.scan import read_label_file
 from ..results.finished import FinishedRun
 from ..results.object_frame import plain_rows
 from ..storage.table_files import file_stem
-from .prediction_files import read_kitti_boxes, read_nuscenes_boxes, read_point_labels
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_BOX_READERS = {".txt": read_kitti_boxes, ".json": read_nuscenes_boxes}
 _XYZ = ["x", "y", "z"]
 _LOST_BELOW = 0.5  #: share of agreeing points below which an object is lost
+
+
+def read_kitti_boxes(path: Path) -> Boxes:
+    """Boxes of a label file of KITTI, without those of the type DontCare.
+
+    A line is: type, truncation, occlusion, alpha, four numbers of the image, height, width, length,
+    x, y, z of the middle of the floor (camera's axes: right, down, forward), rotation about y, and
+    perhaps a score. The camera is taken to be at the sensor, looking along x.
+    """
+    names: list[str] = []
+    rows: list[list[float]] = []
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+        words = line.split()
+        if not words or words[0] == "DontCare":
+            continue
+        try:
+            h, w, length, x, y, z, turn = map(float, words[8:15])
+        except ValueError as error:
+            raise DatasetError(
+                f"{path}, line {number}: expected a line of a KITTI label file (type and at least "
+                f"14 numbers), got {len(words)} words"
+            ) from error
+        names.append(words[0])
+        rows.append([z, -x, h / 2 - y, length, w, h, -turn - np.pi / 2])
+    return _boxes(names, rows)
+
+
+def read_nuscenes_boxes(path: Path) -> Boxes:
+    """Boxes of one sample as in the results of nuScenes: a list, or the one list in `results`.
+
+    A box has detection_name, translation (x, y, z of its centre), size (width, length, height) and
+    rotation (quaternion w, x, y, z), in the axes of the real sensor.
+    """
+    names: list[str] = []
+    rows: list[list[float]] = []
+    try:
+        boxes = json.loads(path.read_text(encoding="utf-8"))
+        if isinstance(boxes, dict):
+            (boxes,) = boxes["results"].values()
+        for box in boxes:
+            width, length, height = map(float, box["size"])
+            w, x, y, z = map(float, box["rotation"])
+            yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+            names.append(box["detection_name"])
+            rows.append([*map(float, box["translation"]), length, width, height, yaw])
+        return _boxes(names, rows)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise DatasetError(
+            f"{path}: expected boxes of one sample as in the results of nuScenes (detection_name, "
+            f"translation, size, rotation), got {type(error).__name__}: {error}"
+        ) from error
+
+
+def _boxes(names: list[str], rows: list[list[float]]) -> Boxes:
+    """Boxes of rows x, y, z, length, width, height, yaw."""
+    values = np.array(rows, dtype=np.float64).reshape(-1, 7)
+    return Boxes(np.array(names, dtype=np.str_), values[:, :3], values[:, 3:6], values[:, 6])
+
+
+_BOX_READERS = {".txt": read_kitti_boxes, ".json": read_nuscenes_boxes}
 
 
 @dataclass(frozen=True)
@@ -149,8 +209,8 @@ def _compare_labels(
 def _labelled_points(run: FinishedRun, pair_id: str, side: str, path: Path) -> pd.DataFrame:
     """The points of a side with the predicted class of each."""
     points = run.points(pair_id, side)
-    labels = read_point_labels(path, run.row(pair_id)[f"n_{side}_raw"])
-    return points.assign(predicted=labels[points["point_id"]])
+    classes, _ = read_label_file(path, run.row(pair_id)[f"n_{side}_raw"])
+    return points.assign(predicted=classes[points["point_id"]])
 
 
 def _labelled_objects(run: FinishedRun, pair_id: str, seen: pd.DataFrame) -> pd.DataFrame:

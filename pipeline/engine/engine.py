@@ -16,8 +16,7 @@ from ..datasets.pairs import ScanPair, may_crash
 from ..datasets.readers import read_scan
 from ..stage import Stage
 from ..storage.folder import RunFolder
-from ..storage.run_record import LIBRARIES, library_versions
-from ..storage.urls import stub_texts, url_of_cache
+from ..storage.run_record import LIBRARIES
 from . import costs
 from .plan import PairPlan, with_results
 from .pool import Pool
@@ -63,28 +62,21 @@ def started_pool(
     if not pairs:
         yield Pool()
         return
-    if machines.scheduler and url_of_cache(folder.folder):
-        from ..storage.remote_run import share_folder
+    from .cluster import Requirements, code_versions, start_pool
 
-        share_folder(folder)
-    from .cluster import Requirements, code_hash, start_pool
-
-    is_local = machines.scheduler is None
-    reader_may_crash = is_local and may_crash(pairs)
     required = None
-    if not is_local:
+    if machines.scheduler:
         libraries = ["fidpipe", *LIBRARIES]
         for stage in stages:
             libraries += stage.libraries
-        versions = library_versions(libraries)
-        required = Requirements(
-            versions, code_hash(), folder.folder.resolve(), folder.token, folder.url
-        )
+        required = Requirements(code_versions(libraries), folder.for_workers(share_disk=False))
+        required.tables.put_token()
+    is_risky = required is None and may_crash(pairs)
     pool = start_pool(
         machines.workers,
         settings.machine.memory_gib,
         {stage.make.__module__ for stage in stages},
-        may_end_workers=machines.pair_timeout_s is not None or reader_may_crash,
+        may_end_workers=machines.pair_timeout_s is not None or is_risky,
         address=machines.scheduler,
         required=required,
     )
@@ -112,16 +104,14 @@ def schedule_of(
 def _plans_for_workers(
     pairs: Iterable[ScanPair], plan_pair: PlanPair, folder: RunFolder, machines: Machines
 ) -> Iterator[PairPlan]:
-    """The plans of pairs with their time limit, and all that workers need that may not see the files here."""
+    """The plans of pairs with their time limit, and with the tables as workers see them."""
+    tables = folder.for_workers(share_disk=machines.scheduler is None)
     for i, pair in enumerate(pairs):
         plan, _ = with_results(plan_pair(pair), folder)
+        plan = replace(plan, tables=tables)
         if machines.pair_timeout_s is not None:
             notes = folder.folder / NOTES / str(i)
             plan = replace(plan, limit=TimeLimit(machines.pair_timeout_s, notes))
-        if machines.scheduler is not None:
-            scans = pair.scans.values()
-            files = [*(scan.file for scan in scans), *(scan.labels for scan in scans)]
-            plan = replace(plan, url=folder.url, stubs=stub_texts(files))
         yield plan
 
 

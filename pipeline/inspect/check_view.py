@@ -13,8 +13,7 @@ from ...stages.sensor_description import sensor_lines
 from ..report.view import Answers, Note, Part, Table, View, count, items_of
 from ..report.views.answer_view import cause_items, unknown_words
 from ..results.causes import MOST_SHOWN, no_cause_words
-from .cause_checks import CauseCheck
-from .scan_checks import DatasetCheck
+from .scan_checks import CauseCheck, DatasetCheck
 from .side_checks import SensorCheck
 
 _IN_JSON = ("notes", "doubts", "warnings", "faults", "sensors", "causes")
@@ -33,7 +32,7 @@ def check_json(dataset: DatasetCheck) -> Any:
 def check_view(dataset: DatasetCheck, run_command: str = "") -> View:
     """The pairs of a dataset with points, extents and dropped points, then warnings, errors and the next command."""
     n_pairs = len(dataset.pairs)
-    n_usable = n_pairs - len({text.split(":")[0] for text in dataset.faults})
+    n_usable = sum(not check.faults for check in dataset.pairs)
     view: list[Part] = [_pair_table(dataset), *_notes("error: ", dataset.doubts, "red")]
     view += _sensor_lines(dataset.sensors)
     view += _causes(dataset.causes)

@@ -121,6 +121,6 @@ STAGE = Stage(
     settings=("input",),
     grain=Grain.PAIR,
     make=make_causes,
-    version=9,
+    version=10,
     libraries=("scikit-learn",),
 )

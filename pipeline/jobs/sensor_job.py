@@ -51,5 +51,5 @@ STAGE = Stage(
     grain=Grain.SIDE,
     make=make_sensor,
     takes_real=_takes_real,
-    version=11,
+    version=12,
 )

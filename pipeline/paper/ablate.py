@@ -80,13 +80,13 @@ def make_ablation(inputs: Inputs) -> JobResult:
     matched under several delta is scored once for each t.
     """
     settings = settings_of(inputs.settings)
-    ground, metadata = run_stages(inputs, [ground_job.STAGE], SIDES)
+    ground = run_stages(inputs, [ground_job.STAGE], SIDES)
     rows: list[Row] = []
     request = inputs.settings.ablate  # type: ignore[attr-defined]
     sets = parameter_sets(current(settings), dict(request))
     for _, group in groupby(sets, lambda parameters: (parameters.k, parameters.tau_m)):
         rows += _rows_of_graph(list(group), settings, ground)
-    return JobResult({"ablate": inputs.rows("ablate", rows)}, metadata)
+    return JobResult({"ablate": inputs.rows("ablate", rows)})
 
 
 def _rows_of_graph(

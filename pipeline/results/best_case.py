@@ -15,15 +15,16 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from pydantic import TypeAdapter
 
+from ...schemas.columns import Row
 from ...schemas.data_files import parse_toml
 from ...schemas.errors import RunError
 from ...schemas.metric_catalogue import OBJECT_METRICS, RUN_SCORES, metric_of
 from ...schemas.results import JsonObject
 from ...stages.statistics.validation import double_validation_metric
-from ...stages.summary import mean_and_std
 from ..storage.run_record import read_run
 from ..storage.urls import url_or_path
 from .finished import FinishedRun, settings_changes, version_changes
+from .object_frame import plain_rows
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -69,37 +70,17 @@ class BestCaseRecipe:
 
 
 @dataclass(frozen=True)
-class ScoreExcess:
-    """One score of a run over its best case, in the score's unit.
-
-    column : of `pairs`
-    n_pairs : pairs that have the score in both
-    mean, best_case : over these pairs
-    excess, std : mean and standard deviation (n - 1) over them of score - best case of the same pair
-    bias, area : double validation metric of both distributions, over all matched objects of a score of objects, else
-        over the pairs; see `stages.statistics.validation`
-    of_pairs : by pair, score - best case; None if either is null
-    """
-
-    column: str
-    n_pairs: int
-    mean: float | None
-    best_case: float | None
-    excess: float | None
-    std: float | None
-    bias: float | None
-    area: float | None
-    of_pairs: dict[str, float | None]
-
-
-@dataclass(frozen=True)
 class RunExcess:
     """A run over its best case.
 
     recipe : of the best case
     pairs : that both have; `left_out` are scored in the run alone
     notes : what else differs and can change a number
-    scores : by column of `pairs`
+    scores : by column of `pairs`, in the score's unit, None if unknown: `n_pairs` that have it in both, over these
+        `mean` and `best_case`, and mean and standard deviation (n - 1) of score - best case of the same pair (`excess`,
+        `std`); `bias` and `area`, the double validation metric of both distributions, over all matched objects of a
+        score of objects, else over the pairs (`stages.statistics.validation`)
+    of_pairs : (pairs, scores) score - best case; NaN if either is null
     task_gaps : of the best case, by names such as `objects.lost`
     """
 
@@ -109,12 +90,18 @@ class RunExcess:
     pairs: tuple[str, ...]
     left_out: tuple[str, ...]
     notes: tuple[str, ...]
-    scores: dict[str, ScoreExcess]
+    scores: dict[str, Row]
+    of_pairs: pd.DataFrame
     task_gaps: dict[str, float | None]
 
     def as_dict(self) -> JsonObject:
         """Plain values, for JSON."""
-        return asdict(self) | {"run": str(self.run), "best_case": str(self.best_case)}
+        return vars(self) | {
+            "run": str(self.run),
+            "best_case": str(self.best_case),
+            "recipe": asdict(self.recipe),
+            "of_pairs": dict(zip(self.pairs, plain_rows(self.of_pairs), strict=True)),
+        }
 
 
 _RECIPE = TypeAdapter(BestCaseRecipe)
@@ -181,8 +168,17 @@ def excess_over(run: FinishedRun, best_case: Path) -> RunExcess:
     if problem:
         runs = f"run {run.folder} and best case {best_case}"
         raise RunError(f"{runs}: {problem}; make one for it: {command}")
-    of_pairs = [_pairs(run, names), _pairs(other, names)]
-    of_objects = [_matched(run, names), _matched(other, names)]
+    of_run, of_best_case = [one.scores.loc[[*names], [*SCORES]] for one in (run, other)]
+    of_pairs = of_run - of_best_case
+    has_both = of_pairs.notna()
+    scores = {
+        "n_pairs": has_both.sum(),
+        "mean": of_run[has_both].mean(),
+        "best_case": of_best_case[has_both].mean(),
+        "excess": of_pairs.mean(),
+        "std": of_pairs.std(),
+    }
+    distances = _distances([run, other], names)
     return RunExcess(
         run=run.folder,
         best_case=best_case,
@@ -190,47 +186,26 @@ def excess_over(run: FinishedRun, best_case: Path) -> RunExcess:
         pairs=names,
         left_out=tuple(name for name in run.names if name not in scored),
         notes=tuple(version_changes(run, other)),
-        scores={column: _excess(column, names, of_pairs, of_objects) for column in SCORES},
+        scores=dict(zip(SCORES, plain_rows(distances.assign(**scores)), strict=True)),
+        of_pairs=of_pairs,
         task_gaps=other.record.task_gaps,
     )
 
 
-def _pairs(run: FinishedRun, names: Sequence[str]) -> pd.DataFrame:
-    """The scores of some pairs; NaN for null."""
-    return run.pairs.set_index("pair_id").loc[[*names], [*SCORES]].astype(np.float64)
+def _distances(runs: Sequence[FinishedRun], names: Sequence[str]) -> pd.DataFrame:
+    """Bias and area of each score between a run and its best case; NaN if a side has no value."""
+    import pandas as pd
 
-
-def _matched(run: FinishedRun, names: Sequence[str]) -> pd.DataFrame:
-    """The matched objects of some pairs."""
-    return run.objects_of(names, OBJECT_METRICS).query("side == 'real' and partner >= 0")
-
-
-def _excess(
-    column: str,
-    names: Sequence[str],
-    pairs: Sequence[pd.DataFrame],
-    objects: Sequence[pd.DataFrame],
-) -> ScoreExcess:
-    """One score of a run over its best case, from the pairs and the matched objects of both."""
-    of_run = pairs[0][column].to_numpy()
-    of_best_case = pairs[1][column].to_numpy()
-    over = of_run - of_best_case
-    has_both = ~np.isnan(over)
-    excess, std = mean_and_std(over)
-    metric = metric_of(column).column
-    values = [of_run, of_best_case]
-    if metric in OBJECT_METRICS:
-        values = [frame[metric].to_numpy() for frame in objects]
-    apart = double_validation_metric(sim=values[0], real=values[1])
-    known = [None if np.isnan(value) else value for value in over.tolist()]
-    return ScoreExcess(
-        column=column,
-        n_pairs=int(np.count_nonzero(has_both)),
-        mean=mean_and_std(of_run[has_both])[0],
-        best_case=mean_and_std(of_best_case[has_both])[0],
-        excess=excess,
-        std=std,
-        bias=apart.bias,
-        area=apart.area,
-        of_pairs=dict(zip(names, known, strict=True)),
-    )
+    of_objects = []
+    for run in runs:
+        objects = run.objects_of(names, OBJECT_METRICS, ("real",))
+        of_objects.append(objects[objects["fate"] == "matched"])
+    distances = []
+    for column in SCORES:
+        metric = metric_of(column).column
+        frames = of_objects
+        if metric not in OBJECT_METRICS:
+            frames = [run.scores.loc[[*names]] for run in runs]
+        sim, real = [frame[metric].to_numpy() for frame in frames]
+        distances.append(double_validation_metric(real, sim))
+    return pd.DataFrame(distances, index=[*SCORES], dtype=np.float64)

@@ -22,7 +22,7 @@ from ...stages.arrays import IntArray
 from ...stages.statistics.comparison import LEAST_FLIPPED, LEAST_PAIRS
 from ...stages.statistics.spread import spread
 from ..engine.progress import Reporter
-from .changes import Changes, change_rows, find_changes
+from .changes import Changes, find_changes
 from .families import FamilyChange, ScoreChange, ScoredPairs, judge_families, overall, score_rows
 from .finished import FinishedRun, partition_note, settings_changes, version_changes
 from .followed import CHANGE_COLUMNS, FOLLOWED_COLUMNS, KINDS, follow
@@ -98,7 +98,7 @@ class Comparison:
     @property
     def causes(self) -> pd.DataFrame:
         """One row per cause that changed: amounts before and after, change with its 95 % interval, verdict, setting."""
-        return pd.DataFrame(change_rows(self.changes))
+        return pd.DataFrame([cause.as_dict() for cause in self.changes.causes])
 
     @property
     def table(self) -> pd.DataFrame:
@@ -122,7 +122,7 @@ class Comparison:
             "base": str(self.base),
             "other": str(self.other),
             "decision": self.decision,
-            "causes": change_rows(self.changes),
+            "causes": [cause.as_dict() for cause in self.changes.causes],
             "unexplained": self.changes.elsewhere,
             "families": [asdict(family) for family in self.families],
             "kinds": self.kinds,
@@ -227,7 +227,7 @@ def _compare(
         ScoredPairs(_scores(base, other, names), blocks),
         sectors=sectors,
         seed_noise=_noise_of_seeds(base, other, names),
-        worse_causes=[change.cause.name for change in changes.causes if change.verdict == "worse"],
+        worse_causes=[cause.name for cause in changes.causes if cause.verdict == "worse"],
     )
     real_objects = [run.objects_of(names, FOLLOWED_COLUMNS, ("real",)) for run in (base, other)]
     comparison.objects, unfollowed = follow(*real_objects)

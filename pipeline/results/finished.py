@@ -113,6 +113,13 @@ class FinishedRun:
         """One row per pair, failed ones with their reason; its columns are in `schemas/tables.csv`."""
         return _frame(self.table("pairs"))
 
+    @cached_property
+    def scores(self) -> pd.DataFrame:
+        """(scored pairs, scores) the numbers of `pairs`, and the gaps of tasks by names such as `objects.lost`."""
+        scores = self.pairs.set_index("pair_id").loc[self.names]
+        scores = scores.select_dtypes("number").astype(np.float64)
+        return scores.join(self.task_gaps) if self.record.tasks else scores
+
     @property
     def objects(self) -> pd.DataFrame:
         """One row per object of either side of all scored pairs, with place, coverage, class, fate and scores.

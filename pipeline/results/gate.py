@@ -206,7 +206,7 @@ def judge_comparison(
     for change in comparison.changes.causes:
         if change.verdict:
             fault = change.verdict if change.verdict == "worse" else ""
-            checks.append(Check(f"{change.cause.name} is not worse", change.words, fault))
+            checks.append(Check(f"{change.name} is not worse", change.words, fault))
     for family in comparison.families:
         fault = family.verdict if family.verdict in ("worse", "mixed") and not family.why else ""
         checks.append(Check(f"{family.name} is not worse", _found(family), fault))

@@ -5,62 +5,50 @@ Counts and distributions pool the objects of all pairs. Means over pairs are in 
 
 from __future__ import annotations
 
-from itertools import pairwise
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...schemas.columns import SIDES
 from ...schemas.metric_catalogue import DISTRIBUTED
-from ...schemas.results import (
-    ClassFindings,
-    DensityRatio,
-    GroupMean,
-    ObjectFindings,
-    RangeBand,
-    RangeFindings,
-    RankCorrelation,
-    ScoreDistributions,
-    Unmatched,
-)
+from ...schemas.results import DensityRatio, Findings, GroupMean, ObjectGroup, RankCorrelation
 from ...stages.arrays import FloatArray
-from ...stages.statistics.findings import BAND_EDGES_M, distribution, quantiles
+from ...stages.statistics.findings import BAND_NAMES, distribution, quantiles
 from ...stages.summary import mean_and_std, median_of
 
 if TYPE_CHECKING:
     import pandas as pd
 
 #: Columns of the frame of objects that the findings use.
-FINDINGS_COLUMNS = ("range_m", "band", "label", "n_real", "n_sim", *DISTRIBUTED)
+FINDINGS_COLUMNS = ("range_m", "band", "label", "covered_0p3m", "n_real", "n_sim", *DISTRIBUTED)
 #: The paper: n_sim is from under a quarter to over four times n_real.
 SPARSE_RATIO = 0.25
 DENSE_RATIO = 4.0
 
 
-def summarise_objects(objects: pd.DataFrame, n_pairs: int) -> ObjectFindings:
-    """Compute distributions, ranges, classes, density ratios and correlation; None for missing values.
+def summarise_objects(objects: pd.DataFrame, places: Mapping[str, int]) -> Findings:
+    """Compute distributions, density ratios, correlation and groups; None for missing values.
 
     Parameters
     ----------
     objects : of both sides without remnants, with `FINDINGS_COLUMNS`; label is "" if an object has none
-    n_pairs : number of pairs, also of those without objects
+    places : by pair, the number of its place
     """
     is_matched = objects["fate"] == "matched"
     matched = objects[is_matched & (objects["side"] == "real")]
-    scores = {name: distribution(matched[name].to_numpy()) for name in DISTRIBUTED}
-    return ObjectFindings(
-        n_pairs=n_pairs,
+    return Findings(
         n_matched=len(matched),
-        distributions=ScoreDistributions(**scores),
+        distributions={name: distribution(matched[name].to_numpy()) for name in DISTRIBUTED},
         rank_correlation=rank_correlation(
             matched["cdc"].to_numpy(), matched["r_lambda"].to_numpy()
         ),
         density_ratio=density_ratio((matched["n_sim"] / matched["n_real"]).to_numpy()),
-        range_m=RangeFindings(
-            median_matched=median_of(matched["range_m"].to_numpy()),
-            median_unmatched=median_of(objects.loc[~is_matched, "range_m"].to_numpy()),
-            bands=_by_range(objects),
-        ),
-        classes=_by_class(objects, matched),
+        median_matched_m=median_of(matched["range_m"].to_numpy()),
+        median_unmatched_m=median_of(objects.loc[~is_matched, "range_m"].to_numpy()),
+        groups=tuple(_groups(objects)),
+        n_places=len(set(places.values())),
+        places=dict(places),
     )
 
 
@@ -87,47 +75,39 @@ def density_ratio(ratio: FloatArray) -> DensityRatio:
     )
 
 
-def _by_range(objects: pd.DataFrame) -> tuple[RangeBand, ...]:
-    """Objects not found and extra ones by distance from the sensor on their side; the last band has no end."""
-    bands = []
-    for i, (low, high) in enumerate(pairwise([*BAND_EDGES_M, None])):
-        counts = _unmatched(objects[objects["band"] == i])
-        bands.append(RangeBand(from_m=low, to_m=high, **vars(counts)))
-    return tuple(bands)
-
-
-def _by_class(objects: pd.DataFrame, matched: pd.DataFrame) -> tuple[ClassFindings, ...]:
-    """Objects not found, extra ones and scores by class, the class with most objects first; () without labels.
-
-    A matched object has the class of its real side. Each score has its mean, standard deviation (n - 1) and number of
-    objects.
-    """
+def _groups(objects: pd.DataFrame) -> Iterator[ObjectGroup]:
+    """The objects by range, then by class, the class with most objects first."""
+    for band, name in enumerate(BAND_NAMES):
+        yield _group("range", name, objects[objects["band"] == band])
     sizes = objects[objects["label"] != ""].groupby("label").size()
-    rows = []
     for label in sizes.sort_values(ascending=False, kind="stable").index:
-        of_class = matched[matched["label"] == label]
-        scores = {}
-        for name in DISTRIBUTED:
-            mean, std = mean_and_std(of_class[name].to_numpy())
-            scores[name] = GroupMean(mean=mean, std=std, n=int(of_class[name].count()))
-        counts = _unmatched(objects[objects["label"] == label])
-        rows.append(
-            ClassFindings(label=label, **vars(counts), n_matched=len(of_class), scores=scores)
-        )
-    return tuple(rows)
+        yield _group("class", label, objects[objects["label"] == label])
 
 
-def _unmatched(objects: pd.DataFrame) -> Unmatched:
-    """Objects of each side, and those of them that the other side lacks."""
-    n_real = int((objects["side"] == "real").sum())
-    n_sim = len(objects) - n_real
-    n_not_found = int((objects["fate"] == "not_found").sum())
-    n_extra = int((objects["fate"] == "extra").sum())
-    return Unmatched(
-        n_real=n_real,
-        n_not_found=n_not_found,
-        not_found_share=n_not_found / n_real if n_real else None,
-        n_sim=n_sim,
-        n_extra=n_extra,
-        extra_share=n_extra / n_sim if n_sim else None,
+def _group(by: str, name: str, objects: pd.DataFrame) -> ObjectGroup:
+    real, sim = [objects[objects["side"] == side] for side in SIDES]
+    matched = real[real["fate"] == "matched"]
+    scores = {}
+    for score in DISTRIBUTED:
+        mean, std = mean_and_std(matched[score].to_numpy())
+        scores[score] = GroupMean(mean=mean, std=std, n=int(matched[score].count()))
+    return ObjectGroup(
+        by=by,
+        name=name,
+        n_real=len(real),
+        n_not_found=len(real) - len(matched),
+        n_sim=len(sim),
+        n_extra=int((sim["fate"] == "extra").sum()),
+        n_real_points=int(real["n_points"].sum()),
+        missing_share=_uncovered_share(real),
+        n_sim_points=int(sim["n_points"].sum()),
+        invented_share=_uncovered_share(sim),
+        scores=scores,
     )
+
+
+def _uncovered_share(objects: pd.DataFrame) -> float | None:
+    """Share of the points of some objects without a counterpart within 0.3 m; None without points."""
+    n_points = objects["n_points"]
+    n_uncovered = (n_points * (1 - objects["covered_0p3m"].fillna(0.0))).sum()
+    return float(n_uncovered / n_points.sum()) if n_points.any() else None

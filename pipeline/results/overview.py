@@ -20,11 +20,10 @@ from ...schemas.record import (
     FrameSuspect,
     RunRecord,
 )
-from ...schemas.results import Caution, Findings, Overview, Piece, SurfaceGroup
+from ...schemas.results import Caution, Findings, Overview, Piece
 from ...schemas.tables import TABLES
 from ...stages.arrays import BoolArray, FloatArray
 from ...stages.statistics.comparison import LEAST_PAIRS
-from ...stages.statistics.findings import BAND_NAMES
 from ..storage.files import path_exists
 from ..storage.folder import RunFolder
 from ..storage.urls import recorded_path
@@ -56,12 +55,7 @@ BAD_ALIGNMENT_WORDS = (
 NO_LABEL = "(no label)"
 _KEYS = ["pair", "side", "fate", "n_points"]
 #: Columns of the frame of objects that the overview uses.
-OVERVIEW_COLUMNS = (
-    "covered_0p3m",
-    "r_lambda",
-    "alignment_rms_m",
-    "diagonal_m",
-)
+OVERVIEW_COLUMNS = ("r_lambda", "alignment_rms_m", "diagonal_m")
 
 
 def alignment_is_bad(
@@ -107,9 +101,8 @@ def describe_objects(
     objects = objects.loc[objects["fate"] != "remnant", [*_KEYS, *columns]]
     objects["label"] = objects["label"].fillna("")
     blocks = find_places(store, pair_ids, hashes, timestamps_s)
-    found = summarise_objects(objects, len(pair_ids))
     places = dict(zip(pair_ids, blocks.tolist(), strict=True))
-    findings = Findings(n_places=len(np.unique(blocks)), places=places, **vars(found))
+    findings = summarise_objects(objects, places)
     causes = read_causes(store, pair_ids)
     named, small = named_and_small(causes, blocks)
     overview = Overview(
@@ -118,7 +111,6 @@ def describe_objects(
         doubts=tuple(_doubts(store, pair_ids)),
         small=tuple(small),
         pieces=tuple(largest_pieces(store, pair_ids)),
-        surface=tuple(_surface(objects)),
         **_alignment(objects),
     )
     return findings, overview
@@ -142,30 +134,6 @@ def doubt_lines(side: str, texts: Sequence[str], n_scans: int) -> list[str]:
         f"{start} ({n} of {n_scans}): {texts[kinds.index(kind)]}"
         for kind, n in Counter(kinds).items()
     ]
-
-
-def _surface(objects: pd.DataFrame) -> Iterator[SurfaceGroup]:
-    """Coverage by range and by class."""
-    import pandas as pd
-
-    alone = objects["n_points"] * (1 - objects["covered_0p3m"].fillna(0.0))
-    points = objects.assign(alone=alone)
-    labels = sorted(set(objects["label"]) - {""})
-    ranges = ("range", "band", dict(enumerate(BAND_NAMES)))
-    classes = ("class", "label", {label: label for label in labels})
-    for group, column, names in (ranges, classes):
-        sums = points.groupby([column, "side"])[["n_points", "alone"]].sum()
-        sums = sums.reindex(pd.MultiIndex.from_product([names, SIDES]), fill_value=0)
-        for key, name in names.items():
-            (n_real, missing), (n_sim, invented) = sums.loc[key].to_numpy()
-            yield SurfaceGroup(
-                group=group,
-                name=name,
-                n_real=int(n_real),
-                missing_share=missing / n_real if n_real else None,
-                n_sim=int(n_sim),
-                invented_share=invented / n_sim if n_sim else None,
-            )
 
 
 def _alignment(objects: pd.DataFrame) -> dict[str, int]:

@@ -10,7 +10,7 @@ import io
 import json
 import os
 import secrets
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,6 @@ def write_whole(
     path: Path,
     content: bytes | memoryview,
     *,
-    before_rename: Callable[[], None] | None = None,
     advice: str = "; give another --out",
     outlasts_power: bool = True,
 ) -> None:
@@ -40,7 +39,6 @@ def write_whole(
     Parameters
     ----------
     path : of the file; its folder is created if missing
-    before_rename : may raise, and the file in place stays
     advice : ends the message of the error
     outlasts_power : wait until it is on the disk, a millisecond or more; False for a file whose
         readers check its hash
@@ -62,8 +60,6 @@ def write_whole(
                 file.flush()
                 if outlasts_power:
                     os.fsync(file.fileno())
-            if before_rename is not None:
-                before_rename()
             temporary.replace(path)
     except BaseException:
         with suppress(OSError):  # its folder may be what cannot be written

@@ -30,9 +30,6 @@ from .files import write_whole
 from .object_store import read_object, write_object
 
 TOKEN = ".writer"  #: the file that names the run which may write
-AT_URL = (
-    ".at_url"  #: a file of this name in a folder of the cache: tables that it lacks are at its URL
-)
 _LONGEST_NAME_BYTES = 120
 _SECONDS_BETWEEN_CHECKS = 10.0
 _FEWEST_COMPRESSED = 1000  # rows; of smaller tables the compressor takes a third of the time
@@ -110,7 +107,7 @@ class JobRecord:
     pair_id: str
     part: str
     key: str
-    files: dict[TableName, StoredFile]
+    files: dict[TableName, StoredFile] = field(default_factory=dict)
     reads: tuple[str, ...] = ()
     metadata: dict[str, Any] = field(default_factory=dict)
     steps: tuple[tuple[str, float], ...] = ()
@@ -173,12 +170,11 @@ class TableFolder:
         """The file that names the run which may write here."""
         return self.folder / TOKEN
 
-    def write_job(self, record: JobRecord, tables: dict[str, pa.Table]) -> dict[str, StoredFile]:
-        """Write the tables of a finished job; return the written files by name.
+    def write_job(self, record: JobRecord, tables: dict[str, pa.Table]) -> None:
+        """Write the tables of a finished job, and add their files to its record.
 
         Parameters
         ----------
-        record : the job, its `files` not known yet
         tables : by name, as in `schemas.tables`
 
         Raises
@@ -187,11 +183,10 @@ class TableFolder:
             Another run has taken over the folder, or it cannot be written.
         """
         self.check_token()
-        files = {}
+        record.made_by = self.token
         for table, rows in tables.items():
             name = table_name(table, record.pair_id, record.part)
-            files[name] = self.write_at(self.folder / name, table, rows, record.key)
-        return files
+            record.files[name] = self.write_at(self.folder / name, table, rows, record.key)
 
     def write_at(
         self, path: Path, table: str, rows: pa.Table | Iterable[pa.Table], key: str
@@ -281,6 +276,10 @@ class TableFolder:
         """How to recompute what is damaged."""
         return "the same command again"
 
+    def put_token(self) -> None:
+        """Name the run of this token as the only one that may write."""
+        self.token_path.write_text(self.token)
+
     def check_token(self) -> None:
         """Raises `RunError` where another run has taken over the folder."""
         try:
@@ -299,6 +298,10 @@ class TableFolder:
 class TablesAtUrl(TableFolder):
     """The tables of a run for a worker that does not share its folder: each is one object, read and written whole."""
 
+    def put_token(self) -> None:
+        """See `TableFolder`."""
+        write_object(f"{self.url}/{TOKEN}", self.token.encode())
+
     def check_token(self) -> None:
         """See `TableFolder`; a process asks every ten seconds."""
         if (
@@ -314,11 +317,6 @@ class TablesAtUrl(TableFolder):
 
 
 _CHECKED: dict[str, float] = {}
-
-
-def tables_of_run(folder: Path, token: str, url: str) -> TableFolder:
-    """The tables of a run for a worker: in its folder, or at its URL if workers do not share the folder."""
-    return TablesAtUrl(folder, token, url) if url else TableFolder(folder, token)
 
 
 @cache

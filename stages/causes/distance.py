@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 
 from ...schemas.cause_catalogue import CAUSES
 from ..arrays import FloatArray, IndexArray
+from ..linalg.nearest import search_tree
 from ..surfels import fit_planes
 from .sides import SCATTERED, Side, most_noise_m
 
@@ -68,7 +69,7 @@ def best_case_distance(real: Side, sim: Side, aligned: Side, rng: Generator) -> 
     noise_m = min(max(sim_noise_m, real_noise_m), real_noise_m + CAUSES["range noise"].tolerance)
     moved += real.rays * rng.normal(0.0, noise_m, len(moved))[:, None]
     is_kept = rng.random(len(moved)) >= (real.sensor.lost_share or 0.0)
-    return surface_distance(real.tree, cKDTree(moved[is_kept]))
+    return surface_distance(real.tree, search_tree(moved[is_kept]))
 
 
 def sample_rows(n: int) -> IndexArray:

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from ...schemas.cause_catalogue import CAUSES, FLAT, LOSSES, PARAMETERS, UNEVEN
 from ...schemas.sensor_models import SENSORS
 from ..arrays import BoolArray, FloatArray, IndexArray
+from ..linalg.nearest import search_tree
 from ..sensor_description import SensorDescription, has_other_beams
 from ..trust import (
     BEAMS,
@@ -37,6 +38,7 @@ from .unmatched import (
     explain_directions,
     find_unmatched,
     in_gap,
+    nearest_m,
 )
 
 _LEAST_POINTS = 50  # of a side that has a surface to compare
@@ -322,13 +324,12 @@ def _amounts(real: Side, sim: Side, recorded: Side, explained: Explained) -> dic
     missing, invented = find_unmatched(real, sim, explained)
     missing_parts = real.points[missing.is_part | missing.is_moved]
     invented_parts = sim.points[invented.is_part | invented.is_moved]
-    parts = cKDTree(np.vstack([missing_parts, invented_parts]))
+    parts = search_tree(np.vstack([missing_parts, invented_parts]))
     is_used_real = ~(_is_near(real, parts) | missing.is_beyond | explained.real)
     is_used_sim = ~(_is_near(sim, parts) | explained.sim)
-    nearest_m = [float(np.quantile(side.range_m, 0.001)) for side in (real, sim)]
     return {
         "maximum range": _maximum_range(real.chosen(~explained.is_blind), sim, missing, invented),
-        "minimum range": _difference(*nearest_m),
+        "minimum range": _difference(nearest_m(real), nearest_m(sim)),
         "moved parts": _share_of(missing.is_moved),
         "missing parts": _share_of(missing.is_part),
         "invented parts": _share_of(invented.is_part),
@@ -495,9 +496,11 @@ def _elevation_noise(real: Side, sim: Side, recorded: Side) -> Amount:
     known = _known_difference(a, b, "elevation_noise_deg", "elevation_deg")
     if known.amount is not None or not a.elevation_deg:
         return known
-    blurred = blurred_elevation_deg(a, recorded)
-    if blurred is not None and a.elevation_noise_deg is not None:
-        return _difference(a.elevation_noise_deg, blurred)
+    is_seen = real.elevation_deg > np.quantile(sim.elevation_deg, 0.001)  # lowest beams may be dead
+    real_deg = blurred_elevation_deg(a, real.chosen(is_seen))
+    sim_deg = blurred_elevation_deg(a, recorded)
+    if real_deg is not None and sim_deg is not None:
+        return _difference(real_deg, sim_deg)
     real_blur = road_blur_deg2(real)
     sim_blur = road_blur_deg2(sim)
     if real_blur is None or sim_blur is None or sim_blur <= real_blur:
@@ -508,7 +511,7 @@ def _elevation_noise(real: Side, sim: Side, recorded: Side) -> Amount:
 def _beam_amount(real: Side, sim: Side, explained: Explained) -> Amount:
     """Beams more or fewer than the real sensor's; dead ones are counted if the simulated beams are not distinct.
 
-    Exchanged beams can appear as further ones.
+    Exchanged beams can appear as further ones. Beams that only see what a minimum range cuts off do not count.
     """
     n_real = len(real.sensor.elevation_deg)
     n_sim = len(sim.sensor.elevation_deg)
@@ -519,6 +522,8 @@ def _beam_amount(real: Side, sim: Side, explained: Explained) -> Amount:
         n_sim = n_real
     elif not n_sim or (n_dead and not sim.sensor.is_sharp):
         n_sim = n_real - n_dead
+    elif n_sim < n_real:
+        n_sim = min(n_sim + explained.n_cut, n_real)
     share = float(explained.is_dead.mean()) if n_dead else abs(n_sim - n_real) / n_real
     return _difference(n_real, n_sim, share)
 

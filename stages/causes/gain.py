@@ -8,11 +8,11 @@ from itertools import permutations
 
 import numpy as np
 from numpy.random import Generator
-from scipy.spatial import cKDTree
 
 from ...schemas.cause_catalogue import BEST_CASE_ACCURACY, FLAT, LOSSES, PARAMETERS
 from ..arrays import BoolArray, FloatArray, IndexArray
 from ..displacement import Displacement
+from ..linalg.nearest import search_tree
 from ..surfels import fit_planes
 from .beams import second_returns
 from .distance import REACH_M, off_share, surface_distance
@@ -31,7 +31,7 @@ _ORDERS = 6  # of more corrections
 class Correction:
     """Changes of the simulated points that correct causes.
 
-    displacement : (11,) of `displacement.PARAMETERS`, to be undone
+    displacement : (12,) of `displacement.PARAMETERS`, to be undone
     elevation_scale : to be undone
     along_m : (m,) change of the ranges
     keep : (m,) bool
@@ -171,7 +171,9 @@ class _Pair:
         real, sim = self.real, self.sim
         if name == FLAT:
             places, is_flat = flat_shapes(real, sim)
-            apart_m, _ = cKDTree(places[is_flat]).query(sim.points, distance_upper_bound=SHAPE_M)
+            apart_m, _ = search_tree(places[is_flat]).query(
+                sim.points, distance_upper_bound=SHAPE_M
+            )
             rows = np.flatnonzero(np.isfinite(apart_m))
             step_m = sim.range_m[rows] - _seen_m(sim.rays[rows], real)
             step_m[np.abs(step_m) > REACH_M] = 0.0
@@ -292,7 +294,7 @@ def shares(
     def distance(chosen: frozenset[str]) -> float:
         if chosen not in known:
             points = corrected(scans.sim, [by_cause[name] for name in sorted(chosen)], seam_deg)
-            known[chosen] = surface_distance(scans.real.tree, cKDTree(points))
+            known[chosen] = surface_distance(scans.real.tree, search_tree(points))
         return known[chosen]
 
     before_all_m = distance(frozenset())

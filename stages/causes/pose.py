@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray
 from ..displacement import Displacement, fit_displacement
+from ..linalg.nearest import search_tree
 from ..sensor_description import SensorDescription, describe_sensor
 from .beams import DOUBTFUL_BEAMS, elevation_scale
 from .distance import surface_distance
@@ -52,7 +52,7 @@ def fit_pose(real: Side, sim: Side) -> tuple[Pose, Side] | None:
     confirmed = None if scale is None else 0.0
     if scale is not None and abs(scale) >= _LEAST_SCALE:
         points = undo_elevation_scale(sim.points, scale)
-        other = fit_displacement(real.tree, cKDTree(points), real.moves_with_road)
+        other = fit_displacement(real.tree, search_tree(points), real.moves_with_road)
         if other is not None:
             rescaled = replace(sim, points=other.undo(points, sim.moves_with_road))
             distance_m = surface_distance(real.tree, aligned.tree)

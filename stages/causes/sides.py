@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IndexArray
 from ..clean import seen_from
+from ..linalg.nearest import search_tree
 from ..pieces import CutScan
 from ..sensor_description import SensorDescription
 from ..surfels import LocalPlanes, fit_planes
@@ -79,12 +80,12 @@ class Side:
     @cached_property
     def tree(self) -> cKDTree:
         """Search tree of the points."""
-        return cKDTree(self.points, balanced_tree=False)
+        return search_tree(self.points)
 
     @cached_property
     def ray_tree(self) -> cKDTree:
         """Search tree of the directions."""
-        return cKDTree(self.rays, balanced_tree=False)
+        return search_tree(self.rays)
 
     def near_rays(self, rows: IndexArray, n_around: int) -> tuple[FloatArray, IndexArray]:
         """Chord from some rays to the nearest others, and the rows of these, (k, n_around) each."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IndexArray
+from ..linalg.nearest import search_tree
 from .beams import dead_beams, exchanged_beams
 from .sides import Side
 
@@ -19,6 +19,7 @@ _WIDE_GAP_DEG = (30.0, 330.0)
 _DENSE_DEG = 0.35  # azimuth step up to which sectors are fine
 #: A point without a counterpart is farther from the other side than this, and this times its range.
 APART_M, APART_PER_M = 0.25, 0.01
+_CUT = 0.003  # of the points of beams that are not dead: nearer ones that a minimum range cuts off
 _CLUTTER_M = 6.0  # nearer returns without a real counterpart are clutter
 _CLUSTER_M = 0.6
 _CLUSTER = 5  # a part: other points without a counterpart around one, at 6 m and beyond
@@ -31,6 +32,7 @@ class Explained:
 
     blind_deg : azimuth in which only the real side has returns
     dead : beams of the real sensor without simulated returns
+    n_cut : number of further beams, which see the ground nearer than the simulated minimum range
     exchanged : pairs of beams with each other's ranges
     is_blind, is_dead : (n,) bool, real points in these directions
     real, sim : (n,), (m,) bool, points that do not count as missing, invented or lost any more
@@ -38,6 +40,7 @@ class Explained:
 
     blind_deg: float
     dead: IndexArray
+    n_cut: int
     exchanged: list[tuple[int, int]]
     is_blind: BoolArray
     is_dead: BoolArray
@@ -49,21 +52,36 @@ def explain_directions(real: Side, sim: Side) -> Explained:
     """Blind directions, dead and exchanged beams of a pair whose simulated side is without its displacement."""
     sector, is_blind_sector = _blind_sectors(real, sim)
     is_blind = is_blind_sector[sector] | in_gap(real, sim)
+    is_near = real.range_m < nearest_m(sim)
     dead = np.empty(0, dtype=np.intp)
+    n_cut = 0
     is_dead = np.zeros(len(real.points), dtype=np.bool_)
     exchanged, is_exchanged_real, is_exchanged_sim = _find_exchanged(real, sim)
     if real.sensor.elevation_deg and not exchanged:
+        beam = real.sensor.beam_of(real.sensor_points)
         dead = dead_beams(real.sensor, real.chosen(~is_blind), sim)
-        is_dead = np.isin(real.sensor.beam_of(real.sensor_points), dead)
+        is_dead = np.isin(beam, dead)
+        if (is_near & ~is_dead).mean() > _CUT:
+            n_cut = len(dead)
+            dead = dead_beams(real.sensor, real.chosen(~is_blind & ~is_near), sim)
+            n_cut -= len(dead)
+            is_dead = np.isin(beam, dead)
+    is_near &= (is_near & ~is_dead).mean() > _CUT
     return Explained(
         blind_deg=float(360.0 / len(is_blind_sector) * is_blind_sector.sum()),
         dead=dead,
+        n_cut=n_cut,
         exchanged=exchanged,
         is_blind=is_blind,
         is_dead=is_dead,
-        real=is_blind | is_dead | is_exchanged_real,
+        real=is_blind | is_dead | is_near | is_exchanged_real,
         sim=is_exchanged_sim | in_gap(sim, real),
     )
+
+
+def nearest_m(side: Side) -> float:
+    """Range from which on a side has returns, but for one in a thousand, metres."""
+    return float(np.quantile(side.range_m, 0.001))
 
 
 def in_gap(side: Side, other: Side) -> BoolArray:
@@ -167,7 +185,7 @@ def _unmatched(
     is_part = is_apart & ~is_beyond
     rows = np.flatnonzero(is_part)
     points = side.points[rows]
-    n_near = cKDTree(points).query_ball_point(points, _CLUSTER_M, return_length=True)
+    n_near = search_tree(points).query_ball_point(points, _CLUSTER_M, return_length=True)
     is_part[rows] = n_near > _CLUSTER * np.maximum(_CLUTTER_M / side.range_m[rows], 1.0) ** 2
     is_clutter = is_apart & ~is_part & (side.range_m < _CLUTTER_M)
     return Unmatched(is_apart, is_beyond, is_clutter, is_part, np.zeros(len(is_part), np.bool_))
@@ -177,6 +195,6 @@ def _mark_moved(
     unmatched: Unmatched, is_object: BoolArray, points: FloatArray, counterparts: FloatArray
 ) -> None:
     """Mark the points of objects next to those of the other side as moved, no longer as parts."""
-    apart_m, _ = cKDTree(counterparts).query(points, distance_upper_bound=_MOVED_M)
+    apart_m, _ = search_tree(counterparts).query(points, distance_upper_bound=_MOVED_M)
     unmatched.is_moved[is_object] = np.isfinite(apart_m)
     unmatched.is_part[unmatched.is_moved] = False

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..arrays import FloatArray, IndexArray
+from ..arrays import FloatArray
 from ..frame_search import ground_height
 from ..linalg.subgraph import connected_points
 from ..surfels import voxel_ids
@@ -160,35 +160,20 @@ def is_moving(side_moved_m: float) -> bool:
     return side_moved_m > _MOVING_M
 
 
-def find_static_side(real_moved_m: float, sim_moved_m: float) -> str | None:
-    """Side ("real" or "sim") whose scans are equal except for noise while those of the other side differ, or None.
+def is_static(side_moved_m: float, other_moved_m: float) -> bool:
+    """True if the scans of a side are equal except for noise while those of the other side differ.
 
     Parameters
     ----------
-    real_moved_m, sim_moved_m : see `moved_m`
+    side_moved_m, other_moved_m : see `moved_m`
     """
-    for side, side_m, other_m in (
-        ("real", real_moved_m, sim_moved_m),
-        ("sim", sim_moved_m, real_moved_m),
-    ):
-        if side_m < _STILL_M and is_moving(other_m) and other_m > 2.5 * side_m:
-            return side
-    return None
+    is_still = side_moved_m < min(_STILL_M, other_moved_m / 2.5)
+    return is_still and is_moving(other_moved_m)
 
 
-def find_empty_side(n_real: IndexArray, n_sim: IndexArray) -> str | None:
-    """Side ("real" or "sim") whose scans have less than a twentieth of the points of the other side, or None.
-
-    Parameters
-    ----------
-    n_real, n_sim : (n,), (m,) intp, points of each scan after cleaning; the medians are compared
-    """
-    if len(n_real) and len(n_sim):
-        if np.median(n_real) < _EMPTY * np.median(n_sim):
-            return "real"
-        if np.median(n_sim) < _EMPTY * np.median(n_real):
-            return "sim"
-    return None
+def is_nearly_empty(n_points: float, n_others: float) -> bool:
+    """True if the median scan of a side has less than a twentieth of the points of that of the other side."""
+    return n_points < _EMPTY * n_others
 
 
 def find_ego_hits(scans: Sequence[FloatArray], ground_m: float) -> EgoHits | None:

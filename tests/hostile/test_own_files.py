@@ -33,7 +33,7 @@ TWIN = 'version = 1\nseed = 0\nsensor = "x"\ninputs_sha256 = "00"\nfiles = {}\n'
 def twins(out, replace=True):
     """Makes the twins of a recording without a frame."""
     recording = Dataset(out.parent / "posed", (), {})
-    twin.make_twins(recording, out, QUIET, replace=replace)
+    twin.make_twins(recording, out, QUIET, twin.TwinRecipe(), replace=replace)
 
 
 @pytest.mark.parametrize(

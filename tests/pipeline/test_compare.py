@@ -27,14 +27,14 @@ from fidpipe.pipeline.report.views.compare_view import (
     place_words,
     reasons,
 )
-from fidpipe.pipeline.results.changes import ChangedCause, Changes
+from fidpipe.pipeline.results.changes import Changes
 from fidpipe.pipeline.results.compare import compare_runs
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.followed import kinds_of_change, worst_changes
 from fidpipe.pipeline.results.gate import judge_comparison
 from fidpipe.pipeline.results.object_frame import plain_rows
 from fidpipe.schemas.errors import RunError
-from fidpipe.schemas.results import Cause
+from fidpipe.schemas.results import ChangedCause
 from fidpipe.schemas.settings import load
 from reports import text_of
 from runs import command, copied, run
@@ -313,10 +313,10 @@ def test_the_first_line_is_the_decision_with_its_first_cause_and_short(versions)
 
 def test_the_first_line_names_what_changed_neither_for_better_nor_worse(versions):
     found = compare_runs([versions[0]] * 2)[0]
-    cause = Cause(
+    cause = ChangedCause(
         name="height",
         kind="sensor",
-        words="world 5 cm too high",
+        words="height: +2 cm, before -2 cm",
         setting="mount height",
         estimate=0.05,
         low=0.04,
@@ -326,10 +326,12 @@ def test_the_first_line_names_what_changed_neither_for_better_nor_worse(versions
         real=None,
         sim=None,
         share=1.0,
+        before=-0.025,
+        after=0.025,
+        verdict="changed",
     )
-    change = ChangedCause(cause, -0.025, 0.025, "changed", "height: +2 cm, before -2 cm")
-    found = replace(found, changes=Changes((change,)), families=())
-    assert decision(found) == f"undecided: changed, neither better nor worse: {change.words}"
+    found = replace(found, changes=Changes((cause,)), families=())
+    assert decision(found) == f"undecided: changed, neither better nor worse: {cause.words}"
 
 
 def test_tables_fit_80_columns_and_a_name_takes_one_line(versions):
@@ -387,7 +389,7 @@ def test_a_changed_object_has_its_points_before_and_after(found, versions):
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
 def test_the_first_place_is_around_the_sensor_if_the_first_cause_is_of_the_sensor(versions, order):
     found = compare_runs([versions[i] for i in order])
-    causes = [change for change in found[0].changes.causes if change.cause.kind == "sensor"]
+    causes = [change for change in found[0].changes.causes if change.kind == "sensor"]
     first = compare_page(found).partition('<option value="0">')[2].partition("<")[0]
     assert ("around the sensor" in first) == bool(causes)
 
@@ -412,9 +414,7 @@ def test_a_gate_against_a_base_fails_on_a_worse_score_and_writes_what_ci_reads(v
         for family in judged["families"]
         if family["verdict"] == "worse" and not family["why"]
     } | {
-        f"{cause['cause']} is not worse"
-        for cause in judged["causes"]
-        if cause["verdict"] == "worse"
+        f"{cause['name']} is not worse" for cause in judged["causes"] if cause["verdict"] == "worse"
     }
     assert {name for name, fault in faults.items() if fault} == worse > set()
     suite = ElementTree.parse(tmp_path / "a.xml").getroot().find("testsuite")

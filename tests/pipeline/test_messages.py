@@ -160,12 +160,6 @@ def test_an_empty_folder_or_side_is_named_in_one_line_with_the_next_step(tmp_pat
     assert re.search(words.format(tmp_path), found), found
 
 
-def test_a_dataset_above_or_below_the_named_folder_is_proposed(tmp_path):
-    data = folders(tmp_path / "outer" / "data", ["0"], ["0"])
-    for wrong in (tmp_path, data.parent, data / "real"):
-        assert one_error(command("run", wrong)).endswith(f"did you mean {data}?")
-
-
 def test_a_box_of_three_numbers_is_refused_with_their_number(tmp_path):
     words = ["check", tmp_path, "--set", "input.include_box=1,2,3"]
     assert "input.include_box: expected 6 numbers, got '1,2,3'" in one_error(command(*words))

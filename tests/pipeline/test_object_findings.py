@@ -25,7 +25,7 @@ def both_sides(real, sim):
     objects = pd.concat(frames).astype({"range_m": float, "is_matched": bool})
     objects["fate"] = objects["side"].map(FATES).mask(objects["is_matched"], "matched")
     objects["band"] = np.digitize(objects["range_m"], BAND_EDGES_M) - 1
-    return objects.assign(n_real=10, n_sim=10, r_gap=0.0)
+    return objects.assign(n_real=10, n_sim=10, n_points=10, covered_0p3m=0.6, r_gap=0.0)
 
 
 @pytest.fixture
@@ -34,36 +34,43 @@ def by_hand():
     place = [5.0, 25.0, 5.0, 45.0], ["car", "tree", "car", "tree"], [True, True, True, False]
     real = *place, [0.1, 0.9, 0.3, np.nan], [0.2, 0.5, np.nan, np.nan]
     sim = [5.0, 25.0, 6.0, 60.0], *place[1:]
-    return summarise_objects(both_sides(real, sim), 2)
+    return summarise_objects(both_sides(real, sim), {"a": 0, "b": 0})
+
+
+def groups_by(findings, what):
+    return {group.name: group for group in findings.groups if group.by == what}
 
 
 def test_unmatched_objects_are_counted_by_range_of_their_own_side(by_hand):
-    bands = {band.from_m: band for band in by_hand.range_m.bands}
-    assert (bands[0.0].n_real, bands[0.0].n_not_found, bands[0.0].not_found_share) == (2, 0, 0.0)
-    assert (bands[30.0].n_real, bands[30.0].not_found_share, bands[30.0].n_sim) == (1, 1.0, 0)
-    assert (bands[50.0].n_extra, bands[50.0].not_found_share) == (1, None)
-    assert by_hand.range_m.median_matched == 5.0
-    assert by_hand.range_m.median_unmatched == 52.5
+    bands = groups_by(by_hand, "range")
+    near, far, farthest = [bands[name] for name in ("0 to 10 m", "30 to 50 m", "over 50 m")]
+    assert (near.n_real, near.n_not_found, near.n_real_points) == (2, 0, 20)
+    assert near.missing_share == near.invented_share == pytest.approx(0.4)
+    assert (far.n_real, far.n_not_found, far.n_sim) == (1, 1, 0)
+    assert (farthest.n_extra, farthest.missing_share) == (1, None)
+    assert by_hand.median_matched_m == 5.0
+    assert by_hand.median_unmatched_m == 52.5
+    assert by_hand.n_places == 1
 
 
 def test_a_class_is_that_of_the_real_object_and_nulls_are_left_out(by_hand):
-    classes = {row.label: row for row in by_hand.classes}
-    car = classes["car"]
-    assert (car.n_matched, car.scores["cdc"].mean) == (2, 0.2)
+    classes = groups_by(by_hand, "class")
+    car, tree = classes["car"], classes["tree"]
+    assert (car.n_real, car.n_not_found, car.scores["cdc"].mean) == (2, 0, 0.2)
     assert car.scores["r_lambda"] == GroupMean(mean=0.2, std=None, n=1)
-    assert (classes["tree"].not_found_share, classes["tree"].extra_share) == (0.5, 0.5)
+    assert (tree.n_real, tree.n_not_found, tree.n_sim, tree.n_extra) == (2, 1, 2, 1)
 
 
 def test_scans_without_labels_have_no_classes():
     one = [5.0], [""], [True], [0.1], [0.2]
-    found = summarise_objects(both_sides(one, one), 1)
-    assert found.classes == ()
+    found = summarise_objects(both_sides(one, one), {"a": 0})
+    assert groups_by(found, "class") == {}
 
 
 def test_nothing_at_all_gives_nulls_and_no_error():
     nothing = [], [], []
-    found = summarise_objects(both_sides(nothing, nothing), 1)
-    assert found.distributions.cdc.mean is None
+    found = summarise_objects(both_sides(nothing, nothing), {})
+    assert found.distributions["cdc"].mean is None
     assert found.rank_correlation == RankCorrelation(n=0, spearman=None, kendall=None)
     assert found.density_ratio.min is None
 

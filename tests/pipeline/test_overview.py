@@ -60,21 +60,19 @@ def test_the_overview_of_the_record_is_that_of_the_tables(finished):
     )
     pieces = pd.read_parquet(folder / "pieces")
     both["band"] = np.array(BAND_NAMES)[np.digitize(both.range_m, BAND_EDGES_M) - 1]
-    for one in overview.surface:
+    groups = outcome.record.findings.groups
+    for one in groups:
         for side, n, share in (
-            ("real", one.n_real, one.missing_share),
-            ("sim", one.n_sim, one.invented_share),
+            ("real", one.n_real_points, one.missing_share),
+            ("sim", one.n_sim_points, one.invented_share),
         ):
             own = both[
-                (both.side == side)
-                & (both["label" if one.group == "class" else "band"] == one.name)
+                (both.side == side) & (both["label" if one.by == "class" else "band"] == one.name)
             ]
             assert n == own.n_points_x.sum()
             expected = (own.n_points_x * (1 - own.covered_0p3m)).sum() / n if n else None
             assert share == (None if expected is None else pytest.approx(expected))
-    assert {one.name for one in overview.surface if one.group == "class"} == set(
-        objects.label.dropna()
-    )
+    assert {one.name for one in groups if one.by == "class"} == set(objects.label.dropna())
     assert [one.n_points for one in overview.pieces] == pieces.n_points.nlargest(
         len(overview.pieces)
     ).tolist()
@@ -230,15 +228,10 @@ def test_the_findings_agree_with_the_tables(finished):
         metrics.cdc.corr(metrics.r_lambda, method="spearman")
     )
     for side, what in (("real", "not_found"), ("sim", "extra")):
-        assert (
-            sum(band[f"n_{side}"] for band in found["range_m"]["bands"])
-            == (objects.side == side).sum()
-        )
-        assert (
-            sum(band[f"n_{what}"] for band in found["range_m"]["bands"])
-            == (matching.status == what).sum()
-        )
-        assert sum(row[f"n_{side}"] for row in found["classes"]) == (objects.side == side).sum()
+        for by in ("range", "class"):
+            groups = [group for group in found["groups"] if group["by"] == by]
+            assert sum(group[f"n_{side}"] for group in groups) == (objects.side == side).sum()
+            assert sum(group[f"n_{what}"] for group in groups) == (matching.status == what).sum()
 
 
 def test_a_run_with_nothing_new_reads_no_table_again(finished, monkeypatch):
@@ -260,19 +253,6 @@ def test_other_timestamps_make_other_findings(finished):
     finally:
         (data / "pairs.csv").write_text(manifest)
     assert run(data, folder).record.as_dict()["findings"] == before.record.as_dict()["findings"]
-
-
-def test_seconds_are_kept_by_stage_and_pair(finished):
-    _, folder, _ = finished
-    seconds = json.loads((folder / "run.json").read_text())["seconds"]
-    timings = pd.read_parquet(folder / "timings.parquet")
-    assert set(seconds["pairs"]) == {*NUSCENES}
-    total = timings.groupby(["pair_id", "stage"]).seconds.sum()
-    assert seconds["pairs"][NUSCENES[1]]["metrics"] == pytest.approx(
-        total[NUSCENES[1], "metrics"], abs=1e-6
-    )
-    louvain = timings[timings.step == "louvain"].seconds.sum() / 3
-    assert seconds["mean"]["communities"]["louvain"] == pytest.approx(louvain)
 
 
 def test_copies_of_a_pair_count_once(tmp_path):

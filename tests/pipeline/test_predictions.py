@@ -11,10 +11,13 @@ from sklearn.ensemble import RandomForestClassifier
 
 import fidpipe
 from fidpipe.pipeline.diagnose import predictions
-from fidpipe.pipeline.diagnose.prediction_files import read_kitti_boxes, read_nuscenes_boxes
-from fidpipe.pipeline.diagnose.predictions import compare_predictions
+from fidpipe.pipeline.diagnose.predictions import (
+    compare_predictions,
+    read_kitti_boxes,
+    read_nuscenes_boxes,
+)
 from fidpipe.pipeline.diagnose.predictions_view import agreement_view
-from fidpipe.schemas.errors import DatasetError
+from fidpipe.schemas.errors import DatasetError, ScanError
 from fidpipe.schemas.settings import TaskSettings, load
 from fidpipe.stages.pieces import CutScan
 from fidpipe.stages.predictions import (
@@ -215,7 +218,7 @@ def test_missing_and_damaged_predictions_are_named(folder, tmp_path):
     with pytest.raises(DatasetError, match="no predictions of a scored pair"):
         compare_predictions(finished, tmp_path, tmp_path)
     (tmp_path / "000.label").write_bytes(bytes(8))
-    with pytest.raises(DatasetError, match="000.label: expected .* bytes"):
+    with pytest.raises(ScanError, match="000.label: expected .* bytes"):
         compare_predictions(finished, tmp_path, tmp_path)
     (tmp_path / "a.txt").write_text("Car 0 0\n")
     with pytest.raises(DatasetError, match="line 1: expected a line of a KITTI label file"):

@@ -182,9 +182,7 @@ def cause_of(error: object) -> str:
 
 
 def with_label_file(scan: Scan, ref: ScanRef) -> Scan:
-    """The scan with the labels of the `.label` file next to it, if any: uint32 per point.
-
-    The low 16 bits are the class, the high 16 bits the instance, 0 for none (SemanticKITTI).
+    """The scan with the labels of the `.label` file next to it, if any: class and instance, 0 for none.
 
     Raises
     ------
@@ -194,19 +192,28 @@ def with_label_file(scan: Scan, ref: ScanRef) -> Scan:
     path = ref.labels
     if not path.exists():
         return scan
+    classes, instances = read_label_file(path, len(scan.points))
+    if scan.instances is not None and not instances.any():
+        instances = scan.instances
+    return replace(scan, labels=_label_text(path, classes), instances=instances, label_names={})
+
+
+def read_label_file(path: Path, n_points: int) -> tuple[IntArray, IntArray]:
+    """Class and instance of each point, (n,) int32: low and high 16 bits of uint32, as in SemanticKITTI.
+
+    Raises
+    ------
+    ScanError
+        The numbers of labels and points differ.
+    """
     n_bytes = path.stat().st_size
-    n_points = len(scan.points)
     if n_bytes != 4 * n_points:
         raise ScanError(
             f"{path}: expected {4 * n_points} bytes (one uint32 for each of the {n_points} points "
-            f"of {ref.file.name}), got {n_bytes}"
+            f"of the scan file), got {n_bytes}"
         )
     numbers = np.fromfile(path, dtype="<u4")
-    instances = (numbers >> 16).astype(np.int32)
-    if scan.instances is not None and not instances.any():
-        instances = scan.instances
-    labels = _label_text(path, numbers & 0xFFFF)
-    return replace(scan, labels=labels, instances=instances, label_names={})
+    return (numbers & 0xFFFF).astype(np.int32), (numbers >> 16).astype(np.int32)
 
 
 def with_label_names(scan: Scan, names: Mapping[int, str]) -> Scan:

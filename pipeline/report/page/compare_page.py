@@ -78,10 +78,10 @@ def compare_page(comparisons: Sequence[Comparison], start: Path = Path()) -> str
 def _places(comparison: Comparison, runs: Sequence[FinishedRun]) -> dict[str, dict[str, Any]]:
     """By words what is shown in 3D: the first cause around the sensor, then the worst objects."""
     places = {}
-    causes = [change for change in comparison.changes.causes if change.cause.kind == "sensor"]
+    causes = [cause for cause in comparison.changes.causes if cause.kind == "sensor"]
     if causes:
         before, after = [read_causes(run.store, comparison.pairs) for run in runs]
-        name = causes[0].cause.name
+        name = causes[0].name
         changed = np.nan_to_num(np.abs(after[name].amount - before[name].amount))
         pair_id = comparison.pairs[int(np.argmax(changed))]
         words = f"{causes[0].words}: around the sensor, pair {pair_id}"

@@ -247,7 +247,7 @@ def _surface_bar(
     for i, share in enumerate(np.diff([0.0, *covered, 1.0]).tolist()):
         parts.append((f"{side} step{i}", (*_REACHES, alone)[i], share))
     near = f"covered_{side}_0p3m"
-    note = f"best case {percent(excess.scores[near].best_case)}" if excess else ""
+    note = f"best case {percent(excess.scores[near]['best_case'])}" if excess else ""
     value = f"{percent(summary[near].mean or 0.0)} within 0.3 m"
     return {"name": name, "value": value, "note": note, "parts": parts}
 

@@ -203,7 +203,7 @@ def surface_words(record: RunRecord, excess: RunExcess | None = None) -> str:
     )
     if excess is None:
         return words
-    best_case = ", ".join(percent(excess.scores[column].best_case) for column in _COVERED)
+    best_case = ", ".join(percent(excess.scores[column]["best_case"]) for column in _COVERED)
     return f"{words} (best case {best_case})"
 
 

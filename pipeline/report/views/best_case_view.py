@@ -30,14 +30,11 @@ def excess_view(excess: RunExcess, columns: Sequence[str] = ()) -> View:
     rows = []
     for column in columns or excess.scores:
         score = excess.scores[column]
-        if not score.n_pairs:  # no pair has it in both runs
+        if not score["n_pairs"]:  # no pair has it in both runs
             continue
-        rows.append(
-            (
-                *(metric_of(score.column).label, score.mean, score.best_case),
-                *(signed(score.excess), score.std, signed(score.bias), score.area),
-            )
-        )
+        means = (score["mean"], score["best_case"], signed(score["excess"]), score["std"])
+        distance = (signed(score["bias"]), score["area"])
+        rows.append((metric_of(column).label, *means, *distance))
     headings = ("score", "mean", "best case", "excess", "± std", "bias", "area")
     n_pairs = count(len(excess.pairs), "pair")
     title = f"{excess.run} over the best case {excess.best_case} ({excess.recipe.words}): {n_pairs}"

@@ -113,9 +113,9 @@ def reasons(comparison: Comparison) -> dict[str, list[Item]]:
     of the world, about which the families decide.
     """
     behind: dict[str, list[Item]] = {verdict: [] for verdict in _HEADINGS}
-    for change in comparison.changes.causes:
-        amount = f"95 %: {interval_words(change.cause)}"
-        behind[change.verdict].append((change.words, amount, change.cause.setting))
+    for cause in comparison.changes.causes:
+        amount = f"95 %: {interval_words(cause)}"
+        behind[cause.verdict].append((cause.words, amount, cause.setting))
     for family in comparison.families:
         if family.verdict in ("worse", "mixed", "better") and not family.why:
             behind[family.verdict].append((family.name, _score_words(family), ""))

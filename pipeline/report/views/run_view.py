@@ -17,7 +17,7 @@ from ....schemas.metric_catalogue import (
     unit_words,
 )
 from ....schemas.record import BaselineSummary, RunRecord, SeedSummary, TaskSummary
-from ....schemas.results import Findings, JsonObject, Overview, Unmatched
+from ....schemas.results import Findings, JsonObject
 from ...results.best_case import RunExcess
 from ...results.finished import FinishedRun, run_values
 from ...storage.run_record import unmatched_worst
@@ -99,20 +99,18 @@ def summary_view(
 def details_view(record: RunRecord) -> View:
     """Tasks, all scores, and surface and objects by range and class."""
     parts: list[Part] = [*tasks_view(record.tasks), dataset_table(record)]
-    if record.overview:
-        parts.append(surface_table(record.overview))
     if record.findings:
-        parts.append(_objects_table(record.findings))
+        parts += [surface_table(record.findings), _objects_table(record.findings)]
     return parts
 
 
-def surface_table(overview: Overview) -> Table:
+def surface_table(findings: Findings) -> Table:
     """Missing and invented surface by range and by class."""
     rows = []
-    for group in overview.surface:
+    for group in findings.groups:
         missing = percent(group.missing_share)
         invented = percent(group.invented_share)
-        rows.append((group.name, group.n_real, missing, group.n_sim, invented))
+        rows.append((group.name, group.n_real_points, missing, group.n_sim_points, invented))
     title = "Surface by range and class (object points without a counterpart within 0.3 m)"
     return Table(title, ("", "real points", "missing", "simulated points", "invented"), rows)
 
@@ -245,38 +243,36 @@ def _distributions(findings: Findings) -> Table:
     headings = ("score", "min", "5 %", "25 %", "median", "75 %", "95 %", "max", "std", "std/mean")
     rows = []
     for name in DISTRIBUTED:
-        distribution = getattr(findings.distributions, name)
+        distribution = findings.distributions[name]
         rows.append([METRIC[name].label, *(getattr(distribution, value) for value in values)])
     title = f"Objects (the {findings.n_matched} that both sides have, of all pairs together)"
     return Table(title, headings, rows)
 
 
 def _objects_table(findings: Findings) -> Table:
-    """Objects that only one side has, by range and by class, and mean scores of the classes."""
-    ranges = findings.range_m
-    rows: list[tuple[object, ...]] = []
-    for band in ranges.bands:
-        name = (
-            f"{band.from_m:.0f} to {band.to_m:.0f} m" if band.to_m else f"over {band.from_m:.0f} m"
+    """Objects that only one side has, and mean scores, by range and by class."""
+    ranges = [group for group in findings.groups if group.by == "range"]
+    classes = [group for group in findings.groups if group.by == "class"]
+    rows = []
+    for group in [*ranges, *classes[:_MOST_CLASSES]]:
+        n_both = f"{group.n_real - group.n_not_found} ({group.scores['r_lambda'].n})"
+        row = (
+            group.name,
+            group.n_real,
+            _with_share(group.n_not_found, group.n_real),
+            group.n_sim,
+            _with_share(group.n_extra, group.n_sim),
+            n_both,
         )
-        rows.append((name, *_unmatched(band), None, None, None, None))
-    for group in (findings.classes or ())[:_MOST_CLASSES]:
-        means = [group.scores[score].mean for score in DISTRIBUTED]
-        n_both = f"{group.n_matched} ({group.scores['r_lambda'].n})"
-        rows.append((group.label, *_unmatched(group), n_both, *means))
+        rows.append((*row, *(group.scores[score].mean for score in DISTRIBUTED)))
     title = (
         "Objects by range and by the most frequent classes (median range of matched objects "
-        f"{number(ranges.median_matched, 1)} m, of unmatched ones "
-        f"{number(ranges.median_unmatched, 1)} m)"
+        f"{number(findings.median_matched_m, 1)} m, of unmatched ones "
+        f"{number(findings.median_unmatched_m, 1)} m)"
     )
     headings = ("", "real", "not found", "sim", "extra", "both\n(scored)", *labels(DISTRIBUTED))
     return Table(title, headings, rows)
 
 
-def _unmatched(group: Unmatched) -> tuple[object, ...]:
-    return (
-        group.n_real,
-        f"{group.n_not_found} ({percent(group.not_found_share)})",
-        group.n_sim,
-        f"{group.n_extra} ({percent(group.extra_share)})",
-    )
+def _with_share(n: int, n_all: int) -> str:
+    return f"{n} ({percent(n / n_all if n_all else None)})"
