@@ -11,16 +11,14 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from ..schemas.columns import FARTHEST_M
 from .arrays import (
-    BoolArray,
     FloatArray,
     IndexArray,
     IntArray,
-    azimuths_deg,
-    level_m,
     slopes_deg,
 )
 from .beam_patterns import BeamPattern, elevation_of_points, find_beams, recognise
 from .plausibility import widest_azimuth_gap_deg
+from .sweep import Sweep, sweep_of
 from .trust import (
     BEAMS,
     FRAME,
@@ -197,8 +195,8 @@ def _describe_beams(
     sensor: SensorDescription, points: FloatArray, pattern: BeamPattern
 ) -> tuple[SensorDescription, SurfaceGaps]:
     """The description with all that follows from the beams, and the gaps of lost pulses between the points."""
-    sweep = _by_beam(points, pattern)
-    is_later = later_returns(sweep.beam, sweep.azimuth_deg, sweep.range_m)
+    sweep = sweep_of(points, pattern)
+    is_later = later_returns(sweep)
     returns = returns_text(is_later)
     if returns:
         sweep = sweep.first_returns(is_later)
@@ -208,7 +206,7 @@ def _describe_beams(
     else:
         if returns:
             sensor.doubts[RETURNS] = returns
-        if thinned := thinned_text(sweep.gap_deg, sweep.range_m, points):
+        if thinned := thinned_text(sweep, points):
             step = sensor.doubts[BEAMS] = thinned
     estimates: dict[str, Any] = {
         "azimuth_step_deg": step,
@@ -248,9 +246,9 @@ def _describe_beams(
     return sensor, gaps
 
 
-def _not_one_sweep_text(sweep: _Sweep, step: float | str, pattern: BeamPattern) -> str | None:
+def _not_one_sweep_text(sweep: Sweep, step: float | str, pattern: BeamPattern) -> str | None:
     """The doubt that a scan holds other directions than those of one sweep; None if it does not."""
-    text = sweeps_text(sweep.gap_deg) or alternation_text(sweep.beam, sweep.range_m)
+    text = sweeps_text(sweep) or alternation_text(sweep)
     if text or isinstance(step, str):
         return text
     return image_text(sweep.azimuth_deg, step, pattern.elevation_deg)
@@ -324,52 +322,7 @@ def sensor_lines(sensor: SensorDescription) -> list[str]:
     return lines
 
 
-@dataclass(frozen=True)
-class _Sweep:
-    """Returns in beams, sorted by beam, then by azimuth.
-
-    beam : (m,) intp, row of the pattern's elevations
-    off_deg : (m,) float64, elevation above that of the beam
-    azimuth_deg, range_m : (m,) float64; range from the crossing point of the beams
-    row : (m,) intp, of the scan
-    """
-
-    beam: IndexArray
-    off_deg: FloatArray
-    azimuth_deg: FloatArray
-    range_m: FloatArray
-    row: IndexArray
-
-    @property
-    def gap_deg(self) -> FloatArray:
-        """Azimuth from each return to the next, (m - 1,) float64; NaN if the next is of another beam."""
-        return np.where(np.diff(self.beam) == 0, np.diff(self.azimuth_deg), np.nan)
-
-    def first_returns(self, is_later: BoolArray) -> _Sweep:
-        """The nearest of each group of returns that follow each other in one direction."""
-        ray = np.cumsum(~is_later)
-        order = np.lexsort((self.range_m, ray))
-        first = np.sort(order[np.flatnonzero(np.diff(ray[order], prepend=0))])
-        return self.chosen(first)
-
-    def chosen(self, rows: IndexArray | slice) -> _Sweep:
-        """Some of the returns."""
-        return _Sweep(*(values[rows] for values in vars(self).values()))
-
-
-def _by_beam(points: FloatArray, pattern: BeamPattern) -> _Sweep:
-    beam, off_deg = pattern.beam_of(points)
-    row = np.flatnonzero(beam >= 0)
-    points = points[row]
-    azimuth_deg = azimuths_deg(points)
-    level = level_m(points) - pattern.focal_m
-    range_m = np.sqrt(level**2 + points[:, 2] ** 2)
-    order = np.lexsort((range_m, azimuth_deg, beam[row]))
-    row = row[order]
-    return _Sweep(beam[row], off_deg[row], azimuth_deg[order], range_m[order], row)
-
-
-def _azimuth_step(sweep: _Sweep) -> float | str:
+def _azimuth_step(sweep: Sweep) -> float | str:
     bin_deg = 0.002
     most_deg = 4.0
     gap = sweep.gap_deg
@@ -392,13 +345,13 @@ def _spread(off_deg: FloatArray) -> float | None:
     return round(_MAD * float(np.median(np.abs(off_deg))), 4) if len(off_deg) else None
 
 
-def _azimuth_noise(sweep: _Sweep, step_deg: float) -> float | None:
+def _azimuth_noise(sweep: Sweep, step_deg: float) -> float | None:
     """Noise of one azimuth, from neighbouring returns that are one step apart."""
     off_deg = sweep.gap_deg - step_deg
     return _spread(off_deg[np.abs(off_deg) < step_deg / 2] / np.sqrt(2))
 
 
-def _range_quantum(points: FloatArray, sweep: _Sweep) -> float | str:
+def _range_quantum(points: FloatArray, sweep: Sweep) -> float | str:
     for step_m in (0.01, 0.001):
         n_steps = points / step_m
         if np.mean(np.abs(n_steps - np.round(n_steps)) < 0.02) > 0.98:
@@ -423,7 +376,7 @@ def _range_quantum(points: FloatArray, sweep: _Sweep) -> float | str:
     return f"no quantum from {1e3 * _QUANTA_M[-1]:g} to {1e3 * _QUANTA_M[0]:g} mm"
 
 
-def _range_noise(sweep: _Sweep, step_deg: float) -> float | str:
+def _range_noise(sweep: Sweep, step_deg: float) -> float | str:
     runs, _ = _runs_on_surface(sweep, 1.5 * step_deg)
     place = np.linspace(-1.0, 1.0, _RUN)
     if len(runs) < _FEWEST_RUNS:
@@ -439,7 +392,7 @@ def _range_noise(sweep: _Sweep, step_deg: float) -> float | str:
     return round(float(np.quantile(rms, 0.25)) / _RUN_QUARTILE, 4)
 
 
-def _least_range_noise(sweep: _Sweep, step_deg: float, noise_m: float | str) -> float | None:
+def _least_range_noise(sweep: Sweep, step_deg: float, noise_m: float | str) -> float | None:
     """Range noise without the roughness of the surface, whose variance is about proportional to the step.
 
     It is extrapolated from the noise of all returns and of every second one. The noise need not lie between both:
@@ -451,7 +404,7 @@ def _least_range_noise(sweep: _Sweep, step_deg: float, noise_m: float | str) -> 
     return round(float(np.sqrt(np.clip(2 * noise_m**2 - coarse_m**2, 0.0, noise_m**2))), 4)
 
 
-def _runs_on_surface(sweep: _Sweep, most_deg: float) -> tuple[FloatArray, FloatArray]:
+def _runs_on_surface(sweep: Sweep, most_deg: float) -> tuple[FloatArray, FloatArray]:
     """Ranges and azimuths, (n, 9) each, of returns of a beam in a row with at most this gap from one to the next."""
     has_no_gap = np.nan_to_num(sweep.gap_deg, nan=np.inf) < most_deg
     is_run = sliding_window_view(has_no_gap, _RUN - 1).all(axis=1)
@@ -461,18 +414,15 @@ def _runs_on_surface(sweep: _Sweep, most_deg: float) -> tuple[FloatArray, FloatA
     return range_m[is_surface], azimuth_deg[is_surface]
 
 
-def _surface_firings(sweep: _Sweep, step_deg: float) -> IndexArray:
+def _surface_firings(sweep: Sweep, step_deg: float) -> IndexArray:
     """Firings from each return to the next one of its beam on the same surface, (m - 1,) intp; 0 if it is not there."""
     n_firings = np.nan_to_num(np.round(sweep.gap_deg / step_deg))
-    nearer_m = np.minimum(sweep.range_m[:-1], sweep.range_m[1:])
-    apart_m = np.abs(np.diff(sweep.range_m))
-    is_surface = (n_firings <= _HOLE + 1) & (apart_m < 0.03 * nearer_m + 0.05)
+    is_surface = (n_firings <= _HOLE + 1) & (sweep.apart_m < 0.03 * sweep.nearer_m + 0.05)
     return np.where(is_surface, n_firings, 0).astype(np.intp)
 
 
-def _lost_share(sweep: _Sweep, n_firings: IndexArray) -> float | str:
-    is_near = np.minimum(sweep.range_m[:-1], sweep.range_m[1:]) < _MOST_LOST_M
-    firings = n_firings[(n_firings >= 1) & is_near]
+def _lost_share(sweep: Sweep, n_firings: IndexArray) -> float | str:
+    firings = n_firings[(n_firings >= 1) & (sweep.nearer_m < _MOST_LOST_M)]
     if len(firings) < _MIN_POINTS:
         return f"fewer than {_MIN_POINTS} gaps between returns of one surface"
     return round(float(1.0 - len(firings) / firings.sum()), 4)

@@ -13,8 +13,9 @@ import numpy as np
 import scipy
 from numpy.lib.stride_tricks import sliding_window_view
 
-from .arrays import BoolArray, FloatArray, IndexArray, azimuths_deg, level_m, slopes_deg
+from .arrays import BoolArray, FloatArray, azimuths_deg, level_m, slopes_deg
 from .beam_patterns import BeamPattern, find_beams
+from .sweep import Sweep
 from .thinning import shares_voxel
 
 MISSES, RETURNS = "misses", "single_returns"
@@ -130,16 +131,10 @@ def misses_text(groups: list[Misses]) -> str:
     return f"{places}: rays without a return? They are left out; set input.max_range_m={limit_m:g} to confirm"
 
 
-def later_returns(beam: IndexArray, azimuth_deg: FloatArray, range_m: FloatArray) -> BoolArray:
-    """(n,) True for returns that follow another one of the same beam and direction, beyond 1 m.
-
-    Parameters
-    ----------
-    beam, azimuth_deg, range_m : (n,) of returns sorted by beam, azimuth
-    """
-    is_far = np.minimum(range_m[1:], range_m[:-1]) > _NEAREST_M
-    is_same = is_far & (np.diff(beam) == 0) & (np.diff(azimuth_deg) < _SAME_DEG)
-    return np.concatenate([[False], is_same])
+def later_returns(sweep: Sweep) -> BoolArray:
+    """(n,) True for returns that follow another one of the same beam and direction, beyond 1 m."""
+    is_same = (sweep.nearer_m > _NEAREST_M) & (sweep.gap_deg < _SAME_DEG)
+    return np.append(False, is_same)
 
 
 def returns_text(is_later: BoolArray) -> str | None:
@@ -199,20 +194,16 @@ def doubts_without_beams(points: FloatArray) -> dict[str, str]:
     return {}
 
 
-def alternation_text(beam: IndexArray, range_m: FloatArray) -> str | None:
+def alternation_text(sweep: Sweep) -> str | None:
     """The doubt that every second return of the beams is of another scan; None if it is not.
 
     Third differences of the ranges of neighbours are then larger than those of every second return.
-
-    Parameters
-    ----------
-    beam, range_m : (n,) of returns sorted by beam, azimuth
     """
-    if len(beam) < _FEWEST_GAPS:
+    if len(sweep.beam) < _FEWEST_GAPS:
         return None
-    runs_m = sliding_window_view(range_m, 7)
+    runs_m = sliding_window_view(sweep.range_m, 7)
     is_surface = np.ptp(runs_m, axis=1) < _SURFACE_PART * runs_m[:, 3]
-    runs_m = runs_m[is_surface & (beam[6:] == beam[:-6])]
+    runs_m = runs_m[is_surface & (sweep.beam[6:] == sweep.beam[:-6])]
     if len(runs_m) < _FEWEST_GAPS:
         return None
     weights = np.array([1.0, -3.0, 3.0, -1.0])
@@ -250,16 +241,13 @@ def cropped_box(points: FloatArray, other: FloatArray) -> tuple[float, ...] | No
     return tuple(corners) if n_sharp > 1 else None
 
 
-def sweeps_text(gap_deg: FloatArray) -> str | None:
+def sweeps_text(sweep: Sweep) -> str | None:
     """The doubt that a scan holds several sweeps or scans of several sensors; None if it does not.
 
     The azimuths of n sweeps have n phases: the gaps of a beam differ, and repeat after n of them. After one sweep with
     noisy azimuths or many losses few groups of gaps repeat.
-
-    Parameters
-    ----------
-    gap_deg : (n - 1,) azimuth from each return to the next of its beam, NaN without one
     """
+    gap_deg = sweep.gap_deg
     two_deg = gap_deg[:-1] + gap_deg[1:]
     two_deg = two_deg[(two_deg > _SAME_DEG) & (two_deg < _MOST_DEG)]
     if len(two_deg) < _FEWEST_GAPS:
@@ -308,23 +296,19 @@ def _are_multiples(values: FloatArray, unit: float) -> bool:
     return bool(np.abs(exact - numbers).max() < _OFF_ROW)
 
 
-def thinned_text(gap_deg: FloatArray, range_m: FloatArray, points: FloatArray) -> str | None:
+def thinned_text(sweep: Sweep, points: FloatArray) -> str | None:
     """The doubt that a scan was thinned by a grid: steps of its beams are wider near the sensor; None if they are not.
 
     With too few returns near or far, see `_grid_text`.
 
     Parameters
     ----------
-    gap_deg : (n - 1,) azimuth from each return to the next of its beam, NaN without one
-    range_m : (n,)
     points : (m, 3) all points, metres
     """
-    nearer_m = np.minimum(range_m[1:], range_m[:-1])
-    is_surface = (
-        (np.abs(np.diff(range_m)) < _SAME_DEPTH * nearer_m)
-        & (gap_deg > _SAME_DEG)
-        & (gap_deg < _MOST_DEG)
-    )
+    gap_deg = sweep.gap_deg
+    nearer_m = sweep.nearer_m
+    is_gap = (gap_deg > _SAME_DEG) & (gap_deg < _MOST_DEG)
+    is_surface = is_gap & (sweep.apart_m < _SAME_DEPTH * nearer_m)
     near_deg = gap_deg[is_surface & (nearer_m > _NEAREST_GRID_M) & (nearer_m < _NEAR_GRID_M)]
     far_deg = gap_deg[is_surface & (nearer_m > _FAR_GRID_M)]
     if min(len(near_deg), len(far_deg)) < _FEWEST_OF_GRID:
