@@ -24,7 +24,7 @@ Watch = Callable[[str], AbstractContextManager[None]]
 
 def transform_of(numbers: Sequence[float] | None) -> FloatArray | None:
     """The rigid motion [R | t] of 12 numbers, row by row, (3, 4); None without numbers."""
-    return np.array(numbers, dtype=np.float64).reshape(3, 4) if numbers else None
+    return np.array(numbers, dtype=float).reshape(3, 4) if numbers else None
 
 
 def sums_by_id(values: FloatArray, ids: NDArray[np.integer[Any]], n_ids: int) -> FloatArray:

@@ -363,9 +363,9 @@ def _range_image(points: FloatArray) -> FloatArray:
     range_m = np.linalg.norm(points, axis=1)
     x, y, z = points.T
     elevation = np.arctan2(z, np.hypot(x, y)) + (_IMAGE_DEG - _IMAGE_UP_DEG) / 180 * np.pi
-    column = np.rint((np.pi - np.arctan2(y, x)) / (2 * np.pi / _IMAGE_COLUMNS)).astype(np.intp)
+    column = np.rint((np.pi - np.arctan2(y, x)) / (2 * np.pi / _IMAGE_COLUMNS)).astype(int)
     row_height = _IMAGE_DEG / 180 * np.pi / _IMAGE_ROWS
-    row = np.rint(_IMAGE_ROWS - elevation / row_height).astype(np.intp)
+    row = np.rint(_IMAGE_ROWS - elevation / row_height).astype(int)
     is_inside = (range_m < _IMAGE_RANGE_M) & (row >= 0) & (row < _IMAGE_ROWS)
     is_inside &= (column >= 0) & (column < _IMAGE_COLUMNS)
     pixel = row[is_inside] * _IMAGE_COLUMNS + column[is_inside]

@@ -298,7 +298,7 @@ def _read(tangent: FloatArray, nearness: FloatArray) -> BeamPattern | None:
     if heights:
         tangent, nearness = far
     elevation = _elevation_of_beams(tangent, nearness, heights, block_deg)
-    bins = ((elevation + 90.0) / _BIN_DEG).astype(np.intp)
+    bins = ((elevation + 90.0) / _BIN_DEG).astype(int)
     count = np.bincount(bins, minlength=int(180 / _BIN_DEG) + 1)
     candidates = []
     for width in _WIDTHS_DEG:
@@ -385,8 +385,8 @@ def _densities(tangent: FloatArray, nearness: FloatArray) -> tuple[FloatArray, F
     density = np.zeros((len(_HEIGHTS_M), n_bands))
     for row, height in enumerate(_HEIGHTS_M):
         elevation = np.degrees(np.arctan(tangent - height * nearness))
-        bins = ((elevation + 90.0) / _BAND_BIN_DEG).astype(np.intp).clip(0, n_bins - 1)
-        count = np.bincount(bins, minlength=n_bins).reshape(n_bands, per_band).astype(np.float64)
+        bins = ((elevation + 90.0) / _BAND_BIN_DEG).astype(int).clip(0, n_bins - 1)
+        count = np.bincount(bins, minlength=n_bins).reshape(n_bands, per_band).astype(float)
         total = count.sum(axis=1)
         pairs = np.maximum((count * (count - 1)).sum(axis=1), 1.0)
         most = np.maximum(total * (total - 1), 1.0)
@@ -425,7 +425,7 @@ def _block_heights(
 def _peaks(count: IndexArray, width_deg: float) -> IndexArray:
     """Bins of peaks of the smoothed count: prominent by half their height, and with enough returns."""
     sigma = width_deg / _BIN_DEG
-    smooth = scipy.ndimage.gaussian_filter1d(count.astype(np.float64), sigma, mode="constant")
+    smooth = scipy.ndimage.gaussian_filter1d(count.astype(float), sigma, mode="constant")
     smooth = smooth * np.sqrt(2 * np.pi) * sigma
     peaks, shape = scipy.signal.find_peaks(smooth, height=_MIN_RETURNS, prominence=_MIN_RETURNS / 2)
     return peaks[shape["prominences"] > 0.5 * smooth[peaks]]
@@ -434,7 +434,7 @@ def _peaks(count: IndexArray, width_deg: float) -> IndexArray:
 def _explained(count: IndexArray, peaks: IndexArray, width_deg: float) -> float:
     """(s - c) / (1 - c): s is the share of returns within two widths of a peak, c the share of these angles."""
     reach = round(2 * width_deg / _BIN_DEG)
-    near: BoolArray = np.zeros(len(count), dtype=np.bool_)
+    near: BoolArray = np.zeros(len(count), dtype=bool)
     around = peaks + np.arange(-reach, reach + 1)[:, None]
     near[around.clip(0, len(count) - 1)] = True
     low, high = np.searchsorted(np.cumsum(count) / count.sum(), (0.005, 0.995))

@@ -117,9 +117,7 @@ def _louvain(adjacency: scipy.sparse.csr_matrix) -> IntArray:
         _, labels = np.unique(labels, return_inverse=True)
         community = labels[community]
         starts = np.arange(n + 1, dtype=np.int32)
-        membership = scipy.sparse.csr_matrix(
-            (np.ones(n, np.bool_), labels.astype(np.int32), starts)
-        )
+        membership = scipy.sparse.csr_matrix((np.ones(n, bool), labels.astype(np.int32), starts))
         adjacency = membership.T.tocsr() @ (adjacency @ membership)
         weights = membership.T @ weights
         if adjacency.shape[0] == 1 or gain <= _TOLERANCE_AGGREGATION:
@@ -138,7 +136,7 @@ def _shuffled_adjacency(
     half.has_sorted_indices = False
     half = half.T.tocsr()
     adjacency = half + half.T.tocsr()
-    adjacency.data = adjacency.data.astype(np.float64)
+    adjacency.data = adjacency.data.astype(float)
     return adjacency
 
 
@@ -153,7 +151,7 @@ def _python_louvain(n_nodes: int, edges: Edges, seed: int, order: IntArray | Non
     src, dst = ends[:, first]
     graph = networkx.Graph()
     graph.add_nodes_from(range(n_nodes))
-    weight = edges.length_m[first].astype(np.float64)
+    weight = edges.length_m[first].astype(float)
     graph.add_weighted_edges_from(zip(src.tolist(), dst.tolist(), weight.tolist(), strict=True))
     community_by_node = community.best_partition(graph, random_state=seed)
     return np.array([community_by_node[node] for node in place.tolist()], dtype=np.int32)

@@ -165,7 +165,7 @@ def _cut(
 ) -> tuple[BoolArray, float | None, float | None, int | None]:
     """Ground flags, threshold, its loss, and number of times it was lowered; see `GroundResult`."""
     if settings.method == "none":
-        return np.zeros(len(points), dtype=np.bool_), None, None, None
+        return np.zeros(len(points), dtype=bool), None, None, None
     if settings.method == "patchwork":
         return _patchwork(points, peak_m), None, None, None
     threshold_m = shared.threshold_m if shared else None
@@ -265,7 +265,7 @@ def _on_real_road(
     object point is within 1 m, but real ground is, and the point is at most `most_m` higher than the nearest of it
     (heights above the roads' peaks; for equal distances the first by x, y, z).
     """
-    on_road = np.zeros(len(points), dtype=np.bool_)
+    on_road = np.zeros(len(points), dtype=bool)
     ground = real_points[cut.is_ground]
     if not len(ground):
         return on_road
@@ -333,8 +333,8 @@ def _patchwork(points: FloatArray, peak_m: float) -> BoolArray:
     with _quiet_stdout():  # it prints a message in spite of `verbose`
         estimator = pypatchworkpp.patchworkpp(parameters)
     estimator.estimateGround(np.column_stack([points, np.zeros(len(points))]).astype(np.float32))
-    is_ground = np.zeros(len(points), dtype=np.bool_)
-    is_ground[np.asarray(estimator.getGroundIndices(), dtype=np.intp)] = True
+    is_ground = np.zeros(len(points), dtype=bool)
+    is_ground[np.asarray(estimator.getGroundIndices(), dtype=int)] = True
     return is_ground
 
 

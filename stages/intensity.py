@@ -157,7 +157,7 @@ def mean_ranks(values: FloatArray) -> FloatArray:
 
 def _equal_counts(values: FloatArray) -> IndexArray:
     """(n,) number of the group, of twenty with about equal counts; -1 for NaN."""
-    groups = np.full(len(values), -1, dtype=np.intp)
+    groups = np.full(len(values), -1, dtype=int)
     is_known = ~np.isnan(values)
     known = values[is_known]
     if len(known):

@@ -109,7 +109,7 @@ def _greedy(
     delta_m: float,
 ) -> tuple[IndexArray, IndexArray, FloatArray]:
     """Real and simulated ids of Algorithm 1 and their distances, by real id; one row of distances at a time."""
-    is_taken = np.zeros(len(sim), dtype=np.bool_)
+    is_taken = np.zeros(len(sim), dtype=bool)
     pairs = []
     distance_m = []
     for real_id in range(len(real)):
@@ -120,8 +120,8 @@ def _greedy(
             pairs.append((real_id, sim_id))
             distance_m.append(distance[sim_id])
             is_taken[sim_id] = True
-    matched = np.array(pairs, dtype=np.intp).reshape(-1, 2)
-    return matched[:, 0], matched[:, 1], np.array(distance_m, dtype=np.float64)
+    matched = np.array(pairs, dtype=int).reshape(-1, 2)
+    return matched[:, 0], matched[:, 1], np.array(distance_m, dtype=float)
 
 
 def _optimal(

@@ -138,12 +138,12 @@ def _in_grid(real: _Side, sim: _Side) -> IndexArray:
     start = np.repeat(np.cumsum(count) - count, count)
     rank = np.arange(len(order)) - start
     base = start * 1.0 + beam * n_columns
-    column = azimuth[order].astype(np.intp)
-    column = (np.maximum.accumulate(column - rank + base) - base + rank).astype(np.intp)
+    column = azimuth[order].astype(int)
+    column = (np.maximum.accumulate(column - rank + base) - base + rank).astype(int)
     most = np.maximum(n_columns, count)[beam] - count[beam] + rank
     column = np.minimum(column, most)
     is_inside = column < n_columns
-    is_silent = np.ones((n_beams, n_columns), dtype=np.bool_)
+    is_silent = np.ones((n_beams, n_columns), dtype=bool)
     is_silent[beam[is_inside], column[is_inside]] = False
     silent = np.argwhere(is_silent).T
     returned = np.stack([beam, column, real_row[order], sim_row[order]])
@@ -238,7 +238,7 @@ def _range_scores(real: FloatArray, sim: FloatArray) -> dict[str, float]:
         return {}
     difference = np.sort(sim - real)
     reach = 0.98 * np.sqrt(n)
-    low, high = np.clip([n / 2 - reach, n / 2 + reach], 0, n - 1).astype(np.intp)
+    low, high = np.clip([n / 2 - reach, n / 2 + reach], 0, n - 1).astype(int)
     error = np.abs(difference)
     return {
         "rays_bias_m": float(np.median(difference)),
@@ -335,7 +335,7 @@ def _partners(a: _Side, b: _Side) -> IndexArray:
     row = row[order]
     near = near[order]
     partner = np.full(len(a.points), -1)
-    is_taken = np.zeros(len(b.points), dtype=np.bool_)
+    is_taken = np.zeros(len(b.points), dtype=bool)
     while len(row):  # a pair that comes first for both of its returns is the nearest pair of both
         first = np.flatnonzero(_is_first(row, len(partner)) & _is_first(near, len(is_taken)))
         partner[row[first]] = near[first]
@@ -348,7 +348,7 @@ def _partners(a: _Side, b: _Side) -> IndexArray:
 
 def _is_first(values: IndexArray, n: int) -> BoolArray:
     """True where a value, from 0 to n - 1, occurs for the first time."""
-    first = np.empty(n, dtype=np.intp)
+    first = np.empty(n, dtype=int)
     places = np.arange(len(values))
     first[values[::-1]] = places[::-1]  # the last assignment counts
     return first[values] == places
@@ -364,7 +364,7 @@ def _phase(a: _Side, row: IndexArray, azimuth: FloatArray) -> FloatArray:
     row, azimuth : returns of `a`, and how far in azimuth the nearest return of the other side is
     """
     n_blocks = int(a.width // _PHASE_CELLS) + 1
-    block = a.beam * n_blocks + (a.place[:, 0] // _PHASE_CELLS).astype(np.intp)
+    block = a.beam * n_blocks + (a.place[:, 0] // _PHASE_CELLS).astype(int)
     of_beam = _mean_phase(a.beam, row, azimuth)[a.beam]
     of_block = _mean_phase(block, row, azimuth)[block]
     return of_beam + (of_block - of_beam + 0.5) % 1.0 - 0.5
@@ -400,7 +400,7 @@ def _without_finer(rows: IndexArray, side: _Side, other: _Side) -> IndexArray:
     after = np.where(is_there & (azimuth >= 0), azimuth, np.inf).min(axis=1)
     rows = rows[before + after > _ADJACENT * other.step]
     if side.step * _FINER < 1.0:
-        cell = np.column_stack([side.beam[rows], side.place[rows, 0].astype(np.intp)])
+        cell = np.column_stack([side.beam[rows], side.place[rows, 0].astype(int)])
         rows = rows[np.sort(np.unique(cell, axis=0, return_index=True)[1])]
     return rows
 

@@ -130,7 +130,7 @@ class SensorDescription:
 #: Gaps of lost pulses within visible surfaces, between two returns of one beam: (g, 2) intp, points before and after
 #: each gap, and (g,) intp, 1 to 5 pulses.
 SurfaceGaps = tuple[IndexArray, IndexArray]
-NO_GAPS: SurfaceGaps = (np.empty((0, 2), dtype=np.intp), np.empty(0, dtype=np.intp))
+NO_GAPS: SurfaceGaps = (np.empty((0, 2), dtype=int), np.empty(0, dtype=int))
 
 
 def describe_sensor(points: FloatArray, ring: IntArray | None = None) -> SensorDescription:
@@ -329,9 +329,9 @@ def _azimuth_step(sweep: Sweep) -> float | str:
     gap = gap[(gap > 0.02) & (gap < most_deg)]
     if len(gap) < _MIN_POINTS:
         return "too few neighbouring returns"
-    bins = (gap / bin_deg).astype(np.intp)
+    bins = (gap / bin_deg).astype(int)
     count = np.bincount(bins, minlength=int(most_deg / bin_deg))
-    density = scipy.ndimage.gaussian_filter1d(count.astype(np.float64), 3.0)
+    density = scipy.ndimage.gaussian_filter1d(count.astype(float), 3.0)
     peaks, _ = scipy.signal.find_peaks(density, height=0.4 * density.max())
     step = (peaks[0] + 0.5) * bin_deg
     near = gap[np.abs(gap / step - 1.0) < 0.15]
@@ -418,7 +418,7 @@ def _surface_firings(sweep: Sweep, step_deg: float) -> IndexArray:
     """Firings from each return to the next one of its beam on the same surface, (m - 1,) intp; 0 if it is not there."""
     n_firings = np.nan_to_num(np.round(sweep.gap_deg / step_deg))
     is_surface = (n_firings <= _HOLE + 1) & (sweep.apart_m < 0.03 * sweep.nearer_m + 0.05)
-    return np.where(is_surface, n_firings, 0).astype(np.intp)
+    return np.where(is_surface, n_firings, 0).astype(int)
 
 
 def _lost_share(sweep: Sweep, n_firings: IndexArray) -> float | str:

@@ -195,9 +195,9 @@ def measure_offsets(real: Surface, sim: Surface, labels: IntArray | None = None)
     normal = real.normal[chosen]
     points = real.points[chosen]
     gap = np.zeros_like(points)
-    covered = np.zeros(len(points), dtype=np.bool_)
+    covered = np.zeros(len(points), dtype=bool)
     shift = np.zeros((n_ids, 3))
-    is_moving = np.ones(n_ids, dtype=np.bool_)
+    is_moving = np.ones(n_ids, dtype=bool)
     within_m = np.nextafter(REACH_M, np.inf)
     for _ in range(_MAX_STEPS):
         active = np.flatnonzero(is_moving[ids])

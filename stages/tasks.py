@@ -165,7 +165,7 @@ def _clusters(points: FloatArray, link_m: float) -> IndexArray:
     from sklearn.cluster import DBSCAN
 
     if not len(points):
-        return np.empty(0, dtype=np.intp)
+        return np.empty(0, dtype=int)
     range_m = np.linalg.norm(points, axis=1)
     scaled = points / (1 + range_m / _DOUBLE_AT_M)[:, None]
     _, cell, n_in_cell = np.unique(
@@ -369,13 +369,13 @@ def _farthest_m(scan: CutScan) -> FloatArray:
 def _direction(x: FloatArray, y: FloatArray) -> IndexArray:
     """Direction of each place, 0 to 359, one per degree from straight behind on."""
     share = np.arctan2(y, x) / (2 * np.pi) + 0.5
-    return np.minimum((share * N_DIRECTIONS).astype(np.intp), N_DIRECTIONS - 1)
+    return np.minimum((share * N_DIRECTIONS).astype(int), N_DIRECTIONS - 1)
 
 
 def _cells(points: FloatArray, half: int, settings: TaskSettings) -> BoolArray:
     """Cells of the map, (2 half, 2 half), that hold a point."""
-    is_filled = np.zeros((2 * half, 2 * half), dtype=np.bool_)
-    cell = np.floor(points[:, :2] / settings.cell_m).astype(np.intp) + half
+    is_filled = np.zeros((2 * half, 2 * half), dtype=bool)
+    cell = np.floor(points[:, :2] / settings.cell_m).astype(int) + half
     cell = np.clip(cell, 0, 2 * half - 1)
     is_filled[cell[:, 0], cell[:, 1]] = True
     return is_filled

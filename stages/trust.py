@@ -252,7 +252,7 @@ def sweeps_text(sweep: Sweep) -> str | None:
     two_deg = two_deg[(two_deg > _SAME_DEG) & (two_deg < _MOST_DEG)]
     if len(two_deg) < _FEWEST_GAPS:
         return None
-    two_steps_deg = (np.bincount((two_deg / _BIN_DEG).astype(np.intp)).argmax() + 0.5) * _BIN_DEG
+    two_steps_deg = (np.bincount((two_deg / _BIN_DEG).astype(int)).argmax() + 0.5) * _BIN_DEG
     for n_sweeps in range(2, _MOST_SWEEPS + 1):
         share, unevenness, likeness = _repetition(gap_deg, n_sweeps, n_sweeps * two_steps_deg)
         if unevenness >= _UNEVEN and likeness >= _ALIKE and share * unevenness >= _REPEATED:

@@ -90,7 +90,7 @@ def _coarse_prices(a: FloatArray, b: FloatArray) -> FloatArray:
     """Prices of b from those of a quarter of the nodes of each side, recursively."""
     n = len(a)
     m = n // _COARSER
-    spread = np.linspace(0, n - 1, m).astype(np.intp)
+    spread = np.linspace(0, n - 1, m).astype(int)
     some_a = a[_curve(a)[spread]]
     some_b = b[_curve(b)[spread]]
     arcs = np.arange(m * m)
@@ -121,7 +121,7 @@ def _cheapest(
     y = other_nodes.astype(np.float32)
     price_y = price.astype(np.float32)
     ends = []
-    counts = [np.zeros(1, dtype=np.intp)]
+    counts = [np.zeros(1, dtype=int)]
     least = []
     for rows in _blocks(len(x), len(y)):
         cost = x[rows] @ (-2 * y.T)
@@ -137,7 +137,7 @@ def _cheapest(
     starts = np.cumsum(np.concatenate(counts))
     is_arc = np.ones(starts[-1], np.int8)
     arcs = scipy.sparse.csr_array((is_arc, np.concatenate(ends), starts), (len(x), len(y)))
-    return arcs, np.concatenate(least).astype(np.float64)
+    return arcs, np.concatenate(least).astype(float)
 
 
 def _least(nodes: FloatArray, other_nodes: FloatArray, price: FloatArray) -> FloatArray:

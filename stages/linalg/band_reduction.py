@@ -268,4 +268,4 @@ def _from_end(symmetric: scipy.sparse.csr_matrix) -> IndexArray:
         last = int(order[-1])
     if len(order) < symmetric.shape[0]:
         order = scipy.sparse.csgraph.reverse_cuthill_mckee(symmetric, symmetric_mode=True)
-    return order.astype(np.intp)
+    return order.astype(int)

@@ -43,7 +43,7 @@ class Subgraph:
 
 def adjacency(n_nodes: int, edges: Edges) -> scipy.sparse.csr_matrix:
     """Symmetric weighted adjacency matrix, (n, n) CSR float64 with sorted indices; all zero without edges."""
-    half = upper_half(n_nodes, edges).astype(np.float64)
+    half = upper_half(n_nodes, edges).astype(float)
     return half + half.T.tocsr()
 
 
@@ -66,7 +66,7 @@ def connected_nodes(n_nodes: int, src: NDArray[np.integer], dst: NDArray[np.inte
     >>> connected_nodes(3, np.array([0]), np.array([2])).tolist()
     [0, 1, 0]
     """
-    is_linked = np.ones(len(src), dtype=np.bool_)
+    is_linked = np.ones(len(src), dtype=bool)
     graph = scipy.sparse.coo_matrix((is_linked, (src, dst)), shape=(n_nodes, n_nodes))
     return scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
 
@@ -91,7 +91,7 @@ def connected_points(points: FloatArray, link_m: float) -> IndexArray:
     """
     n = len(points)
     if not n:
-        return np.empty(0, dtype=np.intp)
+        return np.empty(0, dtype=int)
     bound = link_m * (1 + 1e-9)  # scipy's is exclusive
     k = np.arange(1, min(n, _NEAREST + 1) + 1)  # the point itself is the first
     distance_m, nearest = scipy.spatial.cKDTree(points).query(points, k, distance_upper_bound=bound)

@@ -32,7 +32,7 @@ def spread(values: FloatArray) -> Spread:
     from scipy.stats import t as student_t
 
     rows = [row[~np.isnan(row)] for row in values]
-    means = np.array([row.mean() for row in rows if len(row)], dtype=np.float64)
+    means = np.array([row.mean() for row in rows if len(row)], dtype=float)
     mean, std_pairs = mean_and_std(means)
     repeats = [row for row in rows if len(row) > 1]
     degrees = sum(len(row) - 1 for row in repeats)
