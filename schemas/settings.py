@@ -498,7 +498,7 @@ def _first_problem(error: ValidationError) -> str:
     problem = error.errors()[0]
     if problem["type"] == "extra_forbidden":
         name = ".".join(map(str, problem["loc"]))
-        known = _known_beside(problem["loc"])
+        known = [other for other in _names() if other.count(".") == name.count(".")]
         return f"setting {name}: no such setting; {suggestion(name, known)}"
     name = ".".join(part for part in problem["loc"] if isinstance(part, str))
     where = f"setting {name}" if name else "settings"
@@ -529,9 +529,9 @@ def expected_and_got(problem: ErrorDetails) -> str:
     return f"{text.partition(', got ')[0]}, got {problem['input']!r}"
 
 
-def _known_beside(location: tuple[int | str, ...]) -> list[str]:
-    group: Any = Settings
-    for part in location[:-1]:
-        group = group.model_fields[part].annotation
-    prefix = ".".join(str(part) for part in location[:-1])
-    return [f"{prefix}.{field}" if prefix else field for field in group.model_fields]
+def _names() -> list[str]:
+    """Names of all groups and settings."""
+    names = []
+    for group, values in Settings():
+        names += [group, *(f"{group}.{name}" for name, _ in values)]
+    return names

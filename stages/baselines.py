@@ -16,7 +16,7 @@ import scipy
 
 from ..schemas.metric_catalogue import METRIC
 from ..schemas.settings import MetricsSettings
-from .arrays import BoolArray, FloatArray, Watch, unwatched
+from .arrays import FloatArray, Watch, level_m, unwatched
 from .coverage import nearest_distances
 from .linalg.assignment import assign_nodes
 from .linalg.nearest import nearest_points
@@ -161,14 +161,13 @@ def f_score(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Bas
     0.5
     """
     to_sim, to_real = nearest_distances(real, sim)
-    score = _f_score(to_sim < settings.f_score_distance_m, to_real < settings.f_score_distance_m)
-    return (Baseline("f_score", score),)
+    return (Baseline("f_score", _f_score(to_sim, to_real, settings.f_score_distance_m)),)
 
 
-def _f_score(is_real_near: BoolArray, is_sim_near: BoolArray) -> float:
+def _f_score(to_sim: FloatArray, to_real: FloatArray, near: float) -> float:
     """2 P R / (P + R), with the shares P of simulated and R of real points near the other side; 0 if both are 0."""
-    recall = float(np.mean(is_real_near))
-    precision = float(np.mean(is_sim_near))
+    recall = float(np.mean(to_sim < near))
+    precision = float(np.mean(to_real < near))
     return 2 * precision * recall / (precision + recall) if precision + recall else 0.0
 
 
@@ -341,17 +340,16 @@ def nvs(real: FloatArray, sim: FloatArray) -> Baselines:
     >>> [baseline.value for baseline in nvs(scan, scan)]
     [0.0, 0.0, None, 0.0, 1.0]
     """
-    real_image, sim_image = _range_image(real), _range_image(sim)
-    clipped_real = np.clip(real_image, _LEAST_RANGE_M, _IMAGE_RANGE_M)
-    clipped_sim = np.clip(sim_image, _LEAST_RANGE_M, _IMAGE_RANGE_M)
-    mean_square = float(np.mean((clipped_real - clipped_sim) ** 2))
-    median = float(np.median(np.abs(clipped_real - clipped_sim)))
+    images = np.stack([_range_image(real), _range_image(sim)])
+    error = np.diff(images.clip(_LEAST_RANGE_M, _IMAGE_RANGE_M), axis=0)
+    mean_square = float(np.mean(error**2))
+    median = float(np.median(np.abs(error)))
     psnr = 10 * float(np.log10(_IMAGE_RANGE_M**2 / mean_square)) if mean_square else None
     return (
         Baseline("nvs_depth_rmse_m", math.sqrt(mean_square)),
         Baseline("nvs_depth_medae_m", median),
         Baseline("nvs_depth_psnr_db", psnr, "both images are equal" if psnr is None else None),
-        *_image_points_apart(_points_of_image(real_image), _points_of_image(sim_image)),
+        *_image_points_apart(*map(_points_of_image, images)),
     )
 
 
@@ -362,7 +360,7 @@ def _range_image(points: FloatArray) -> FloatArray:
     """
     range_m = np.linalg.norm(points, axis=1)
     x, y, z = points.T
-    elevation = np.arctan2(z, np.hypot(x, y)) + (_IMAGE_DEG - _IMAGE_UP_DEG) / 180 * np.pi
+    elevation = np.arctan2(z, level_m(points)) + (_IMAGE_DEG - _IMAGE_UP_DEG) / 180 * np.pi
     column = np.rint((np.pi - np.arctan2(y, x)) / (2 * np.pi / _IMAGE_COLUMNS)).astype(int)
     row_height = _IMAGE_DEG / 180 * np.pi / _IMAGE_ROWS
     row = np.rint(_IMAGE_ROWS - elevation / row_height).astype(int)
@@ -381,10 +379,9 @@ def _points_of_image(image: FloatArray) -> FloatArray:
     azimuth = -(column - _IMAGE_COLUMNS / 2) / _IMAGE_COLUMNS * 2 * np.pi
     elevation = (_IMAGE_UP_DEG - row / _IMAGE_ROWS * _IMAGE_DEG) / 180 * np.pi
     level = np.cos(elevation)
-    directions = np.column_stack(
-        [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)],
-    )
-    return directions * image[row, column, None]
+    x = level * np.cos(azimuth)
+    y = level * np.sin(azimuth)
+    return np.column_stack([x, y, np.sin(elevation)]) * image[row, column, None]
 
 
 def _image_points_apart(real: FloatArray, sim: FloatArray) -> Baselines:
@@ -395,7 +392,7 @@ def _image_points_apart(real: FloatArray, sim: FloatArray) -> Baselines:
     to_sim, to_real = nearest_distances(real, sim)
     return (
         Baseline("nvs_chamfer_m2", float((to_sim**2).mean() + (to_real**2).mean())),
-        Baseline("nvs_f_score_0p05m2", _f_score(to_sim**2 < _NEAR_M2, to_real**2 < _NEAR_M2)),
+        Baseline("nvs_f_score_0p05m2", _f_score(to_sim**2, to_real**2, _NEAR_M2)),
     )
 
 

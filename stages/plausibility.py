@@ -134,12 +134,11 @@ def _are_angles(points: FloatArray) -> bool:
 
 def _most_repeated(points: FloatArray) -> tuple[FloatArray, int]:
     """The point that most rows have, and how many."""
-    order = np.lexsort(points.T)
-    is_new = np.concatenate([[True], (np.diff(points[order], axis=0) != 0).any(axis=1)])
-    first = np.flatnonzero(is_new)
+    in_order = points[np.lexsort(points.T)]
+    first = np.flatnonzero(np.append(True, (np.diff(in_order, axis=0) != 0).any(axis=1)))
     counts = np.diff(first, append=len(points))
-    most = int(counts.argmax())
-    return points[order[first[most]]], int(counts[most])
+    most = counts.argmax()
+    return in_order[first[most]], int(counts[most])
 
 
 def _unit(low: FloatArray, high: FloatArray) -> str:

@@ -230,12 +230,13 @@ def cropped_box(points: FloatArray, other: FloatArray) -> tuple[float, ...] | No
     n_sharp = 0
     for sign in (-1.0, 1.0):
         for axis in (0, 1):
-            edge_m = (sign * points[:, axis]).max()
+            places_m = sign * points[:, axis]
+            edge_m = places_m.max()
             corners.append(float(sign * edge_m))
             beyond_m = sign * other[:, axis] - edge_m
-            n_before = int((np.abs(beyond_m + 1.0) < 1.0).sum())
-            n_beyond = int((np.abs(beyond_m - 1.0) < 1.0).sum())
-            n_own = int((sign * points[:, axis] > edge_m - 2.0).sum())
+            n_before = (np.abs(beyond_m + 1.0) < 1.0).sum()
+            n_beyond = (np.abs(beyond_m - 1.0) < 1.0).sum()
+            n_own = (places_m > edge_m - 2.0).sum()
             goes_on = n_beyond > _BEYOND_EDGE * n_before and edge_m < _INSIDE * reach_m
             n_sharp += goes_on and 2 * n_own > n_before >= _FEWEST_AT_EDGE
     return tuple(corners) if n_sharp > 1 else None
@@ -376,8 +377,8 @@ def _is_several_sweeps(points: FloatArray) -> bool:
         first = np.unique(cell[:n_rows])
         last = np.unique(cell[-n_rows:])
         if len(np.intersect1d(first, last)) > _SAME_CELLS * max(len(first), len(last)):
-            patterns = [find_beams(part) for part in (points[:n_rows], points[-n_rows:])]
-            if any(isinstance(pattern, BeamPattern) for pattern in patterns):
+            parts = (points[:n_rows], points[-n_rows:])
+            if any(isinstance(find_beams(part), BeamPattern) for part in parts):
                 return True
     return False
 
