@@ -177,7 +177,6 @@ def _compare_ranges(
     is_real = real_row >= 0
     is_sim = sim_row >= 0
     only_real = is_real & ~is_sim
-    is_both = is_real & is_sim
     normal = np.full((len(beam), 3), np.nan)
     normal[only_real] = real.normals(real_row[only_real])
     normal[is_sim] = sim.normals(sim_row[is_sim])
@@ -185,18 +184,21 @@ def _compare_ranges(
     met_range_m = np.linalg.norm(met, axis=1)
     cosine = np.abs(np.einsum("ij,ij->i", normal, met)) / met_range_m
 
+    directions = real.points[real_row] / real.range_m[real_row, None]
+    along_m = _range_along(directions, met, normal)
     real_range_m = np.where(is_real, real.range_m[real_row], np.nan)
-    sim_range_m = np.where(is_sim, met_range_m, np.nan)
-    directions = real.points[real_row[is_both]] / real_range_m[is_both, None]
-    sim_range_m[is_both] = _range_along(directions, met[is_both], normal[is_both])
-    difference_m = sim_range_m[is_both] - real_range_m[is_both]
+    sim_range_m = np.select([is_real & is_sim, is_sim], [along_m, met_range_m], np.nan)
+    difference_m = sim_range_m - real_range_m
     noise_m = np.hypot(real.sensor.range_noise_m or 0.0, sim.sensor.range_noise_m or 0.0)
     is_same = np.abs(difference_m) <= max(SAME_M, SAME_SIGMAS * noise_m)
+    surface_m = np.full(len(beam), np.inf)
     tree = search_tree(sim.points)
-    surface_m, _ = tree.query(met[only_real], distance_upper_bound=SURFACE_M)
-    outcome = np.where(is_sim, SIM_ONLY, NONE)
-    outcome[is_both] = np.select([is_same, difference_m < 0], [SAME, IN_FRONT], BEHIND)
-    outcome[only_real] = np.where(surface_m > SURFACE_M, NO_SURFACE, DROPPED)
+    surface_m[only_real], _ = tree.query(met[only_real], distance_upper_bound=SURFACE_M)
+    outcome = np.select(
+        [is_same, difference_m < 0, difference_m > 0, is_sim, surface_m <= SURFACE_M, is_real],
+        [SAME, IN_FRONT, BEHIND, SIM_ONLY, DROPPED, NO_SURFACE],
+        NONE,
+    )
     incidence_deg = np.degrees(np.arccos(np.minimum(cosine, 1.0)))
     return Rays(beam, column, real_row, sim_row, outcome, real_range_m, sim_range_m, incidence_deg)
 
