@@ -343,7 +343,8 @@ def _map(scan: CutScan, settings: TaskSettings) -> tuple[BoolArray, BoolArray]:
     centre_m = (np.arange(-half, half) + 0.5) * settings.cell_m
     x, y = np.meshgrid(centre_m, centre_m, indexing="ij")
     range_m = np.hypot(x, y)
-    visible_m = np.minimum(_first_obstacle_m(scan, settings), _farthest_m(scan))
+    farthest_m = _extreme_m(np.maximum, scan.points, 0.0)
+    visible_m = np.minimum(_first_obstacle_m(scan, settings), farthest_m)
     is_visible = range_m + settings.cell_m < visible_m[_direction(x, y)]
     is_near = range_m <= settings.range_m
     is_occupied &= is_near
@@ -352,18 +353,16 @@ def _map(scan: CutScan, settings: TaskSettings) -> tuple[BoolArray, BoolArray]:
 
 def _first_obstacle_m(scan: CutScan, settings: TaskSettings) -> FloatArray:
     """Horizontal distance of the first obstacle in each direction, (360,); at most range_m."""
-    first_m = np.full(N_DIRECTIONS, settings.range_m)
-    x, y, _ = scan.points[_is_obstacle(scan, settings)].T
-    np.minimum.at(first_m, _direction(x, y), np.hypot(x, y))
-    return first_m
+    obstacles = scan.points[_is_obstacle(scan, settings)]
+    return _extreme_m(np.minimum, obstacles, settings.range_m)
 
 
-def _farthest_m(scan: CutScan) -> FloatArray:
-    """Horizontal distance of the farthest return in each direction, (360,); 0 without any."""
-    farthest_m = np.zeros(N_DIRECTIONS)
-    x, y, _ = scan.points.T
-    np.maximum.at(farthest_m, _direction(x, y), np.hypot(x, y))
-    return farthest_m
+def _extreme_m(extreme: np.ufunc, points: FloatArray, start_m: float) -> FloatArray:
+    """Least or greatest horizontal distance in each direction, (360,), and of a start."""
+    extreme_m = np.full(N_DIRECTIONS, start_m)
+    x, y, _ = points.T
+    extreme.at(extreme_m, _direction(x, y), np.hypot(x, y))
+    return extreme_m
 
 
 def _direction(x: FloatArray, y: FloatArray) -> IndexArray:
