@@ -38,6 +38,24 @@ def sums_by_id(values: FloatArray, ids: NDArray[np.integer[Any]], n_ids: int) ->
     return np.column_stack([np.bincount(ids, column, n_ids) for column in values.T])
 
 
+def rows_by_id(ids: NDArray[np.integer[Any]], n_ids: int = 0) -> list[IndexArray]:
+    """Rows of each id from 0, ascending; negative ids are left out.
+
+    Parameters
+    ----------
+    ids : (n,)
+    n_ids : minimum number of ids
+
+    Examples
+    --------
+    >>> [rows.tolist() for rows in rows_by_id(np.array([1, -1, 1]), 3)]
+    [[], [0, 2], []]
+    """
+    order = np.argsort(ids, kind="stable")
+    n_ids = max(n_ids, int(ids.max(initial=-1)) + 1)
+    return np.split(order, np.searchsorted(ids[order], np.arange(n_ids)))[1:]
+
+
 def azimuths_deg(points: FloatArray) -> FloatArray:
     """Azimuth of each point seen from the origin, (n,), degrees from x towards y, -180 to 180."""
     return np.degrees(np.arctan2(points[:, 1], points[:, 0]))

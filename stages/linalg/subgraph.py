@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..arrays import Float32Array, FloatArray, IndexArray, IntArray
+from ..arrays import Float32Array, FloatArray, IndexArray, IntArray, rows_by_id
 
 _NEAREST = 16  #: neighbours by which `connected_points` links most points at once
 
@@ -141,17 +141,14 @@ def split_by_community(
     >>> split_by_community(ids, np.zeros((3, 3)), path, np.array([0, 0, 1]), [0])[0].adjacency.toarray().tolist()
     [[0.0, 1.0], [1.0, 0.0]]
     """
-    inside = np.flatnonzero(labels[edges.src] == labels[edges.dst])
-    by_community = inside[np.argsort(labels[edges.src[inside]], kind="stable")]
-    numbers = np.arange(int(labels.max()) + 2)
-    edge_ends = np.searchsorted(labels[edges.src[by_community]], numbers)
-    nodes_in_order = np.argsort(labels, kind="stable")
-    node_ends = np.searchsorted(labels[nodes_in_order], numbers)
+    nodes_of = rows_by_id(labels)
+    of_src = labels[edges.src]
+    edges_of = rows_by_id(np.where(of_src == labels[edges.dst], of_src, -1), len(nodes_of))
     index_inside = np.empty(len(labels), dtype=np.int32)
     subgraphs = {}
     for community in wanted:
-        nodes = nodes_in_order[node_ends[community] : node_ends[community + 1]]
-        rows = by_community[edge_ends[community] : edge_ends[community + 1]]
+        nodes = nodes_of[community]
+        rows = edges_of[community]
         index_inside[nodes] = np.arange(len(nodes), dtype=np.int32)
         src = index_inside[edges.src[rows]]
         dst = index_inside[edges.dst[rows]]
