@@ -173,8 +173,7 @@ def _clusters(points: FloatArray, link_m: float) -> IndexArray:
     )
     means = sums_by_id(scaled, cell, len(n_in_cell)) / n_in_cell[:, None]
     dbscan = DBSCAN(eps=link_m, min_samples=_CORE_POINTS)
-    labels: IndexArray = dbscan.fit(means, sample_weight=n_in_cell).labels_[cell]
-    return labels
+    return dbscan.fit(means, sample_weight=n_in_cell).labels_[cell]
 
 
 def box_iou(a: Obstacles, b: Obstacles) -> FloatArray:
@@ -185,8 +184,7 @@ def box_iou(a: Obstacles, b: Obstacles) -> FloatArray:
     a_area = (a.size_m[:, :2] + 2 * _MARGIN_M).prod(axis=1)
     b_area = (b.size_m[:, :2] + 2 * _MARGIN_M).prod(axis=1)
     union = a_area[:, None] + b_area[None, :] - common
-    overlap: FloatArray = common / union
-    return overlap
+    return common / union
 
 
 def compare_ground(real: CutScan, sim: CutScan, settings: TaskSettings) -> tuple[Gap, ...]:
@@ -262,8 +260,7 @@ def compare_free_space(real: CutScan, sim: CutScan, settings: TaskSettings) -> t
 
 def _is_obstacle(scan: CutScan, settings: TaskSettings) -> BoolArray:
     """True for points above the road, and at most height_m above it, (n,)."""
-    chosen: BoolArray = ~scan.is_ground & (scan.height_m <= settings.height_m)
-    return chosen
+    return ~scan.is_ground & (scan.height_m <= settings.height_m)
 
 
 def _within(scan: CutScan, range_m: float) -> CutScan:

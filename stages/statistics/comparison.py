@@ -79,8 +79,7 @@ def block_means(values: FloatArray, blocks: IntArray) -> FloatArray:
     np.add.at(sums, place, np.moveaxis(np.where(known, values, 0.0), -1, 0))
     np.add.at(counts, place, np.moveaxis(known, -1, 0))
     with np.errstate(invalid="ignore"):
-        means: FloatArray = np.moveaxis(sums / counts, 0, -1)
-    return means
+        return np.moveaxis(sums / counts, 0, -1)
 
 
 def paired_difference(

@@ -64,5 +64,4 @@ def evenly(n: int, most: int) -> list[int]:
     >>> evenly(9, 3), evenly(2, 3), evenly(0, 3)
     ([0, 4, 8], [0, 1], [])
     """
-    places: list[int] = np.linspace(0, n - 1, min(n, most)).astype(int).tolist()
-    return places
+    return np.linspace(0, n - 1, min(n, most)).astype(int).tolist()
