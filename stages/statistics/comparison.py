@@ -14,6 +14,7 @@ from functools import cache
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
+from ..summary import mean_and_std
 
 CONFIDENCE = 0.95
 #: Fewer independent pairs decide nothing but changes far beyond the noise.
@@ -109,7 +110,7 @@ def paired_difference(
     blocks = np.arange(n_pairs, dtype=np.int32) if blocks is None else blocks[known]
     a, b = block_means(np.stack([before[known], after[known]]), blocks)
     change = b - a
-    std = float(change.std(ddof=1)) if len(change) > 1 else None
+    mean, std = mean_and_std(change)
     low = high = None
     if n_pairs > 1 and (np.abs(change) <= ALIKE).all():
         std = low = high = 0.0
@@ -120,7 +121,7 @@ def paired_difference(
         n_blocks=len(change),
         before=float(a.mean()),
         after=float(b.mean()),
-        difference=float(change.mean()),
+        difference=mean,
         std=std,
         low=low,
         high=high,
