@@ -33,6 +33,7 @@ from .trust import (
     later_returns,
     misses_text,
     returns_text,
+    rounding_of,
     sweeps_text,
     thinned_text,
 )
@@ -52,6 +53,7 @@ _MIN_POINTS = 500
 _HOLE = 5  # pulses that a gap within a surface may lack, at most
 _QUANTA_M = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.008, 0.005, 0.004, 0.003, 0.002, 0.001, 0.0005)
 _QUANTUM_RANGE_M = 30.0
+_FINE_M = 0.0009  # coordinates that are rounded more show no quantum of ranges
 _RUN = 9  # returns of a beam one after the other
 _RUN_STEPS = 8  # from one return of a run to the next at most, if too few runs have no gap
 _FEWEST_RUNS = 200
@@ -178,7 +180,8 @@ def describe_with_gaps(
         round(around_deg, 1),
     )
     sensor = replace(sensor, field_of_view_deg=field_of_view_deg)
-    sensor.doubts.update(doubts_of_rounding(points))
+    rounding_m = rounding_of(points)
+    sensor.doubts.update(doubts_of_rounding(rounding_m))
     if FRAME in sensor.doubts:
         sensor.untold["elevation_deg"] = sensor.doubts[FRAME]
         return sensor, NO_GAPS
@@ -187,12 +190,12 @@ def describe_with_gaps(
         sensor.untold["elevation_deg"] = pattern
         sensor.doubts.update(doubts_without_beams(points))
         return sensor, NO_GAPS
-    sensor, (gaps, n_lost) = _describe_beams(sensor, points, pattern)
+    sensor, (gaps, n_lost) = _describe_beams(sensor, points, pattern, rounding_m)
     return sensor, (rows[gaps], n_lost)
 
 
 def _describe_beams(
-    sensor: SensorDescription, points: FloatArray, pattern: BeamPattern
+    sensor: SensorDescription, points: FloatArray, pattern: BeamPattern, rounding_m: float
 ) -> tuple[SensorDescription, SurfaceGaps]:
     """The description with all that follows from the beams, and the gaps of lost pulses between the points."""
     sweep = sweep_of(points, pattern)
@@ -210,7 +213,7 @@ def _describe_beams(
             step = sensor.doubts[BEAMS] = thinned
     estimates: dict[str, Any] = {
         "azimuth_step_deg": step,
-        "range_quantum_m": _range_quantum(points, sweep),
+        "range_quantum_m": _range_quantum(sweep, rounding_m),
     }
     gaps = NO_GAPS
     if not isinstance(step, str):
@@ -351,11 +354,9 @@ def _azimuth_noise(sweep: Sweep, step_deg: float) -> float | None:
     return _spread(off_deg[np.abs(off_deg) < step_deg / 2] / np.sqrt(2))
 
 
-def _range_quantum(points: FloatArray, sweep: Sweep) -> float | str:
-    for step_m in (0.01, 0.001):
-        n_steps = points / step_m
-        if np.mean(np.abs(n_steps - np.round(n_steps)) < 0.02) > 0.98:
-            return f"coordinates are rounded to {1e3 * step_m:g} mm"
+def _range_quantum(sweep: Sweep, rounding_m: float) -> float | str:
+    if rounding_m > _FINE_M:
+        return f"coordinates are rounded to {1e3 * rounding_m:.3g} mm"
     is_near = sweep.range_m < _QUANTUM_RANGE_M
     beam = sweep.beam[is_near]
     range_m = sweep.range_m[is_near]

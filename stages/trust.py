@@ -150,7 +150,7 @@ def returns_text(is_later: BoolArray) -> str | None:
     )
 
 
-def _rounding_m(points: FloatArray) -> float:
+def rounding_of(points: FloatArray) -> float:
     """Step to which x and y are rounded, of the coarser of both; 0 if one is not.
 
     Then the differences of neighbouring values are multiples of the least ones. A constant may be added, as after
@@ -173,9 +173,8 @@ def _rounding_m(points: FloatArray) -> float:
     return max(steps_m)
 
 
-def doubts_of_rounding(points: FloatArray) -> dict[str, str]:
-    """The doubt that coordinates are rounded, by what cannot be trusted."""
-    step_m = _rounding_m(points)
+def doubts_of_rounding(step_m: float) -> dict[str, str]:
+    """The doubt that coordinates are rounded to a step, by what cannot be trusted."""
     text = f"coordinates are rounded to {100 * step_m:.3g} cm; export them with more digits"
     if step_m < _ROUNDED_M:
         return {}
