@@ -22,7 +22,7 @@ _LAST = 1000
 class Metric:
     """One score.
 
-    group : object, pair, coverage, surface, piece, ray, intensity, or baseline
+    group : object, pair, coverage, surface, piece, ray, intensity, task, or baseline
     column : name in the tables, with the unit if it has one
     heading : short name for table headings, without the unit
     short : heading for narrow columns if `heading` is too long
@@ -130,6 +130,8 @@ def _positions(text: str) -> dict[str, int]:
 
 #: Largest distance to the other side at which a point counts as covered, as in names of columns: 0.1, 0.3, 1 m.
 COVERAGE_REACHES = ("0p1m", "0p3m", "1m")
+#: Columns of the share of either side, or of an object on it, that the other side has within 0.3 m.
+COVERED = ("covered_real_0p3m", "covered_sim_0p3m")
 
 
 def reach_words(reach: str) -> str:

@@ -45,20 +45,12 @@ class Spread(Result):
     least_dataset: float | None
 
 
-class MeanStd(Result):
-    """Mean and standard deviation (n - 1); null for too few values."""
-
-    mean: float | None
-    std: float | None
-
-
 class SeedSummary(Result):
-    """The repeats under other seeds: of each score the spread over all pairs; of each pair mean and deviation."""
+    """The repeats under other seeds: of each score the spread over all pairs."""
 
     n_seeds: int
     n_pairs: int
     dataset: dict[str, Spread]
-    pairs: dict[str, dict[str, MeanStd]]
 
 
 class TaskSummary(Result):

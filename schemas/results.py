@@ -49,8 +49,11 @@ class ScoreSummary(Result):
     n_pairs: int
 
 
-class Quantiles(Result):
-    """Number of values and their quantiles; null without any."""
+class Distribution(Result):
+    """Number of some values, their quantiles, mean, standard deviation (n - 1); null for too few.
+
+    cv : coefficient of variation, std / mean
+    """
 
     n: int
     min: float | None
@@ -60,14 +63,6 @@ class Quantiles(Result):
     q75: float | None
     q95: float | None
     max: float | None
-
-
-class Distribution(Quantiles):
-    """Some values: their number, quantiles, mean, standard deviation (n - 1); null for too few.
-
-    cv : coefficient of variation, std / mean
-    """
-
     mean: float | None
     std: float | None
     cv: float | None
@@ -81,19 +76,11 @@ class RankCorrelation(Result):
     kendall: float | None
 
 
-class DensityRatio(Quantiles):
-    """Quantiles of n_sim / n_real over the matched objects, and the shares below a quarter and above four."""
+class DensityRatio(Distribution):
+    """Distribution of n_sim / n_real over the matched objects, and the shares below a quarter and above four."""
 
     share_below_quarter: float | None
     share_above_four: float | None
-
-
-class GroupMean(Result):
-    """Mean and standard deviation (n - 1) of a score over the n objects of a group that have it."""
-
-    mean: float | None
-    std: float | None
-    n: int
 
 
 class ObjectGroup(Result):
@@ -117,7 +104,7 @@ class ObjectGroup(Result):
     missing_share: float | None
     n_sim_points: int
     invented_share: float | None
-    scores: dict[str, GroupMean]
+    scores: dict[str, Distribution]
 
 
 class Findings(Result):
@@ -188,12 +175,10 @@ class ChangedCause(Cause):
 
 
 class Piece(Result):
-    """One of the largest missing, invented or moved pieces of surface; columns of table `pieces`.
+    """One of the largest missing, invented or moved pieces of surface, a row of table `pieces`.
 
     side, piece_id : its number on that side; "real" for a missing or moved piece, "sim" for an invented one
     fate : "missing", "invented" or "moved"
-    extents_m : along x, y and z
-    bearing_deg : 0 ahead, positive to the left
     words : class or size, extents and place
     fate_words : fate, with distance and direction of a moved piece
     """
@@ -202,11 +187,7 @@ class Piece(Result):
     side: str
     piece_id: int
     fate: str
-    label: str | None
     n_points: int
-    range_m: float
-    bearing_deg: float
-    extents_m: tuple[float, float, float]
     words: str
     fate_words: str
 
@@ -214,7 +195,7 @@ class Piece(Result):
 class Caution(Result):
     """A limit to the trust in the numbers.
 
-    kind : failed, to_do, frames, ground, pairs, independence, partition, alignment, or best_case (unknown)
+    kind : to_do, frames, ground, pairs, independence, partition, alignment, or best_case (unknown)
     words : one sentence
     """
 

@@ -11,8 +11,6 @@ from .linalg.nearest import search_tree
 
 #: A point is covered if the other side has a point within this distance.
 COVERAGE_DISTANCES_M = (0.1, 0.3, 1.0)
-#: Limits of the covered share for an unmatched object whose surface is on the other side, and for one whose is not.
-_THERE, _ABSENT = 0.8, 0.2
 
 
 @dataclass(frozen=True)
@@ -29,22 +27,6 @@ class Coverage:
     covered: FloatArray
     median_distance_m: FloatArray
     road_share: FloatArray
-
-
-def surface_state(covered: float) -> str:
-    """State of an unmatched object by the share of its points with a point of the other side within 0.3 m.
-
-    Above 0.8 the other side has its surface and only partitions it differently ("there"), up to 0.2 the surface is
-    absent, between them it is partly there. The limits are defined by fidpipe.
-
-    Examples
-    --------
-    >>> surface_state(0.9), surface_state(0.5), surface_state(0.2)
-    ('there', 'partly', 'absent')
-    """
-    if covered > _THERE:
-        return "there"
-    return "absent" if covered <= _ABSENT else "partly"
 
 
 def nearest_distances(real: FloatArray, sim: FloatArray) -> tuple[FloatArray, FloatArray]:

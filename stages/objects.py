@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from .arrays import FloatArray, IntArray, rows_by_id
+
+Name = TypeVar("Name", int, str)
 
 
 @dataclass(frozen=True)
@@ -59,16 +62,18 @@ def describe_objects(points: FloatArray, labels: IntArray, n_ids: int = 0) -> Ob
     return Objects(n_points, *described)
 
 
-def majority_labels(labels: IntArray, names: list[str | None], n_ids: int = 0) -> list[str | None]:
-    """Most frequent name in each community, for equal counts the first in the alphabet; None without names.
+def majority_labels(
+    labels: IntArray, names: list[Name | None], n_ids: int = 0
+) -> list[Name | None]:
+    """Most frequent name in each community, for equal counts the first in order; None without names.
 
     Parameters
     ----------
     labels : (n,) int32, community of each point, ids from 0; -1 for none
-    names : (n,) class of each point, or None
+    names : (n,) class (or another name) of each point, or None
     n_ids : minimum number of ids
     """
-    counts: list[Counter[str]] = [Counter() for _ in range(max(n_ids, int(labels.max()) + 1))]
+    counts: list[Counter[Name]] = [Counter() for _ in range(max(n_ids, int(labels.max()) + 1))]
     for community, name in zip(labels.tolist(), names, strict=True):
         if name is not None and community >= 0:
             counts[community][name] += 1

@@ -382,7 +382,7 @@ def write_dataset(
         rows.append((pair_id, *names, "" if np.isnan(time_s) else f"{time_s:.6f}"))
     if _listed(manifest) != [row[:3] for row in rows]:
         content = csv_bytes(("pair_id", *SIDES, "timestamp_s"), rows)
-        write_whole(manifest, content, advice="")
+        write_whole(manifest, content)
     text = "1 pair" if len(rows) == 1 else f"{len(rows)} pairs"
     if pairing.by_name:
         text += f" by name: {manifest}"

@@ -10,16 +10,6 @@ from ..report.views.answer_view import cause_items
 from ..results.causes import no_cause_words
 from ..results.diagnosis import doubtful_words, unexplained_words
 
-_COLUMNS = (
-    *("name", "words", "estimate", "low", "high", "unit"),
-    *("n_pairs", "gain_m", "gain", "setting"),
-)
-
-
-def diagnosis_records(diagnosis: Diagnosis) -> Table:
-    """One row per cause, for programs."""
-    return Table("", _COLUMNS, columns_of(map(vars, diagnosis.causes), _COLUMNS))
-
 
 def diagnosis_view(diagnosis: Diagnosis) -> View:
     """The causes, those with the largest gain first, what they do not explain, and doubtful ones."""

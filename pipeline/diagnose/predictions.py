@@ -179,7 +179,6 @@ def _compare_labels(
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Agreement by class, and the real objects that both sides see with the class of most points."""
     import pandas as pd
-    from sklearn.metrics import confusion_matrix
 
     parts = []
     objects = []
@@ -192,18 +191,19 @@ def _compare_labels(
         parts.append(seen)
         objects.append(_labelled_objects(run, pair_id, seen))
     points = pd.concat(parts)
-    numbers = np.unique(points[["predicted", "counterpart"]])
-    names = {number: label_names.get(number, str(number)) for number in numbers.tolist()}
-    lost_objects = pd.concat(objects).replace({"predicted_real": names, "predicted_sim": names})
-    if points.empty:  # no common surface
-        return pd.DataFrame(), lost_objects
-    confusion = confusion_matrix(points["predicted"], points["counterpart"], labels=numbers)
-    classes = pd.DataFrame({"class": [*names.values()]})
-    classes["n_real"] = confusion.sum(axis=1)
-    classes["n_sim"] = confusion.sum(axis=0)
-    n_both = confusion.diagonal()
-    classes["iou"] = n_both / (classes["n_real"] + classes["n_sim"] - n_both)
-    return classes, lost_objects
+    same = points[points["agreement"]]
+    numbers = {
+        "n_real": points["predicted"],
+        "n_sim": points["counterpart"],
+        "n_same": same["predicted"],
+    }
+    counts = {name: classes.value_counts() for name, classes in numbers.items()}
+    classes = pd.DataFrame(counts).fillna(0).astype(int)
+    n_same = classes.pop("n_same")
+    classes["iou"] = n_same / (classes["n_real"] + classes["n_sim"] - n_same)
+    names = {number: label_names.get(number, str(number)) for number in classes.index}
+    objects_of_all = pd.concat(objects).replace({"predicted_real": names, "predicted_sim": names})
+    return classes.rename(index=names).reset_index(names="class"), objects_of_all
 
 
 def _labelled_points(run: FinishedRun, pair_id: str, side: str, path: Path) -> pd.DataFrame:

@@ -40,12 +40,6 @@ def odometry_view(rows: Sequence[Row]) -> View:
     return [Table(title, headings, cells, words=(0, 1))]
 
 
-def records(rows: Sequence[Row]) -> Table:
-    """All columns of rows, for programs."""
-    columns = tuple(rows[0]) if rows else ()
-    return Table("", columns, columns_of(rows, columns))
-
-
 def _classes_table(result: Agreement) -> Table:
     if result.kind == "labels":
         title = "Classes of the real points with a simulated one within 0.3 m"

@@ -38,7 +38,7 @@ from ..results.finished import FinishedRun
 
 #: Points per side, and frames that they are drawn from at most.
 POINTS, MOST_FRAMES = 20_000, 40
-CutScans = Iterable[tuple[pa.Table, FloatArray | None]]
+GroundTables = Iterable[tuple[pa.Table, FloatArray | None]]
 _Item = TypeVar("_Item")
 
 
@@ -87,14 +87,14 @@ def tell_apart_folders(real: Path, sim: Path, settings: Settings) -> dict[str, A
     return _compare(samples[0], samples[1], None, is_paired=False)
 
 
-def _stored_scans(run: FinishedRun, side: str, names: Sequence[str]) -> CutScans:
+def _stored_scans(run: FinishedRun, side: str, names: Sequence[str]) -> GroundTables:
     for name in names:
         metadata = run.store.ledger.jobs(name)["ground", side].metadata
         ground = run.store.read_table("ground", name, side)
         yield ground, transform_of(metadata["T_real_sim"])
 
 
-def _read_scans(settings: Settings, side: str, scans: Sequence[ScanRef]) -> CutScans:
+def _read_scans(settings: Settings, side: str, scans: Sequence[ScanRef]) -> GroundTables:
     for ref in scans:
         scan = read_scan(ref, settings.input.columns_of(side))
         try:
@@ -115,7 +115,7 @@ def _evenly(items: Sequence[_Item]) -> Sequence[_Item]:
     return chosen
 
 
-def draw_sample(scans: CutScans, n_scans: int) -> pd.DataFrame:
+def draw_sample(scans: GroundTables, n_scans: int) -> pd.DataFrame:
     """Points of a side: azimuth, frame, place and features; NaN for intensities that a frame lacks.
 
     A place begins with the first frame that does not show that of the frames before.

@@ -135,13 +135,13 @@ class DaskPool(Pool):
         self._required = required
         self._workers: dict[str, dict[str, Any]] = {}
         self._looked = -_SECONDS_BETWEEN_LOOKS
-        self._had_workers = self._looked_after = monotonic()
+        self._had_workers = monotonic()
         self._dead_since: dict[Any, float] = {}
         try:
             self._start(n_workers)
             if required is not None:
                 self._workers_now()
-                self._check_workers(required)
+                self._check_workers()
         except BaseException:
             self.close()
             raise
@@ -282,10 +282,9 @@ class DaskPool(Pool):
 
     def _look_after_workers(self) -> None:
         """Restart local workers that died while they started, which dask gives up."""
-        now = monotonic()
-        if self._cluster is None or now - self._looked_after < _SECONDS_BETWEEN_LOOKS:
+        if self._cluster is None:
             return
-        self._looked_after = now
+        now = monotonic()
         for name, nanny in list(self._cluster.workers.items()):
             if nanny.is_alive():
                 self._dead_since.pop(name, None)
@@ -323,12 +322,12 @@ class DaskPool(Pool):
     def _lost(self, fault: str) -> str:
         return f"scheduler {self._address or 'here'}: {fault}; run the same command again: it resumes where it stopped"
 
-    def _check_workers(self, required: Requirements) -> None:
+    def _check_workers(self) -> None:
         """Raise `RunError` if a run could not be completed on a worker."""
-        faults = self._client.run(worker_fault, required, on_error="return")
-        for worker, fault in faults.items():
-            if fault and not isinstance(fault, OSError):  # it has just ended
-                raise RunError(f"scheduler {self._address}, worker {worker}: {fault}")
+        checks = self._client.run(_in_worker, self._required, str, on_error="return")
+        for fault in checks.values():
+            if isinstance(fault, RunError):  # not one that has just ended
+                raise fault
 
 
 def start_pool(

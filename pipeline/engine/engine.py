@@ -21,7 +21,7 @@ from . import costs
 from .plan import PairPlan, with_results
 from .pool import Pool
 from .schedule import Collector, Schedule
-from .survey import PlanPair, Survey
+from .survey import PlanPair
 from .time_limit import NOTES, TimeLimit
 
 _LARGE_PAIR = 500_000  # points of both files
@@ -87,18 +87,23 @@ def started_pool(
 
 
 def schedule_of(
-    survey: Survey, plan_pair: PlanPair, pool: Pool, collector: Collector, machines: Machines
+    pool: Pool,
+    todo: Sequence[ScanPair],
+    n_jobs: int,
+    plan_pair: PlanPair,
+    collector: Collector,
+    machines: Machines,
 ) -> Schedule:
-    """The schedule of all jobs to do.
+    """The schedule of all jobs of some pairs that are not done.
 
     Parameters
     ----------
-    survey : of the run
+    n_jobs : number of these jobs
     plan_pair : returns the plan of a pair
     collector : receives the results
     """
-    plans = _plans_for_workers(survey.todo, plan_pair, collector.folder, machines)
-    return Schedule(pool, plans, survey, collector)
+    plans = _plans_for_workers(todo, plan_pair, collector.folder, machines)
+    return Schedule(pool, plans, len(todo), n_jobs, collector)
 
 
 def _plans_for_workers(

@@ -25,14 +25,13 @@ OUT_OF_DATE = "out of date"  #: reason why a result made from or with something 
 
 
 class Source(NamedTuple):
-    """A table that a job takes: its declared columns, none for the metadata alone, and the job that writes it.
+    """A table that a job takes, and the job that writes it.
 
     maker : None for an input file
     """
 
     table: str
     side: str
-    columns: tuple[str, ...]
     maker: JobId | None
 
 
@@ -239,9 +238,6 @@ def _method_key(stage: Stage, settings: Settings) -> str:
     groups = {}
     for group in stage.settings:
         groups[group] = getattr(settings, group).model_dump(mode="json")
-    for table, columns in (*stage.takes.items(), *stage.takes_real(settings).items()):
-        for column in columns:
-            TABLES[table].schema.field(column)
     given = {}
     for table in stage.gives:
         given[table] = [f"{field.name} {field.type}" for field in TABLES[table].schema]
@@ -262,18 +258,12 @@ def _sources(
     makers : by table and side, the job that makes it; None for an input file
     """
     sides = ("", part) if part else ("", *SIDES)
-    declared = {}
-    for table, columns in stage.takes.items():
-        for side in sides:
-            declared[table, side] = columns
+    declared = []
+    for table in stage.takes:
+        declared += [(table, side) for side in sides]
     if part == "sim":
-        for table, columns in stage.takes_real(settings).items():
-            declared[table, "real"] = columns
-    sources = []
-    for (table, side), columns in declared.items():
-        if (table, side) in makers:
-            sources.append(Source(table, side, columns, makers[table, side]))
-    return tuple(sources)
+        declared += [(table, "real") for table in stage.takes_real(settings)]
+    return tuple(Source(*name, makers[name]) for name in declared if name in makers)
 
 
 def with_results(

@@ -23,7 +23,6 @@ from . import costs
 from .plan import Job, JobFailure, PairPlan
 from .pool import Handle, Pool, WorkerDied
 from .progress import Reporter
-from .survey import Survey
 from .time_limit import NOTES
 from .worker import BatchResult, ObjectRows, PairBatch, job_title, run_batch
 
@@ -133,17 +132,8 @@ class _Pair:
         return PairBatch(self.plan, tuple(job.name for job in jobs), most_bytes, **options)
 
 
-@dataclass(frozen=True)
-class _Task:
-    """Batches of some pairs, one of each, that wait for memory, or run, together."""
-
-    pairs: tuple[_Pair, ...]
-    batches: tuple[PairBatch, ...]
-
-    @property
-    def most_bytes(self) -> int:
-        """Bytes that it may occupy."""
-        return max(batch.most_bytes for batch in self.batches)
+#: Batches that wait for memory, or run, together: at most one of each pair.
+_Task = list[tuple[_Pair, PairBatch]]
 
 
 class Schedule:
@@ -153,7 +143,7 @@ class Schedule:
     ----------
     pool : where batches run
     plans : of the pairs, each with jobs to be made; taken one by one as they are begun
-    survey : of the same pairs
+    n_pairs, n_jobs : number of the pairs, and of their jobs
     collector : receives the results while the work proceeds
     """
 
@@ -161,14 +151,15 @@ class Schedule:
         self,
         pool: Pool,
         plans: Iterable[PairPlan],
-        survey: Survey,
+        n_pairs: int,
+        n_jobs: int,
         collector: Collector,
     ) -> None:
         self._pool = pool
         self._collector = collector
         self._pending = iter(plans)
-        self._n_pending = len(survey.todo)
-        self._n_jobs = survey.n_jobs
+        self._n_pending = n_pairs
+        self._n_jobs = n_jobs
         self._active: dict[str, _Pair] = {}
         self._waiting: deque[_Task] = deque()
         self._running: dict[Handle, _Task] = {}
@@ -178,6 +169,8 @@ class Schedule:
 
     def run(self) -> None:
         """Work until every pair has ended, and show progress."""
+        if not self._n_pending:
+            return
         folder, reporter = self._collector.folder, self._collector.reporter
         notes = folder.folder / NOTES
         rmtree(notes, ignore_errors=True)  # of an earlier run
@@ -188,8 +181,8 @@ class Schedule:
                 handle, outcome = self._pool.next_done()
                 task = self._running.pop(handle)
                 is_lost = isinstance(outcome, WorkerDied)
-                results = [outcome] * len(task.pairs) if is_lost else outcome
-                for pair, batch, result in zip(task.pairs, task.batches, results, strict=True):
+                results = [outcome] * len(task) if is_lost else outcome
+                for (pair, batch), result in zip(task, results, strict=True):
                     pair.n_waiting -= 1
                     self._take(pair, batch, result)
                     if not pair.n_waiting:
@@ -307,7 +300,7 @@ class Schedule:
         """Some jobs of a pair as one batch."""
         with_objects = any(job.stage.grain is not Grain.SIDE for job in jobs)
         need = pair.plan.bytes_needed(with_objects=with_objects)
-        self._submit([pair], [pair.batch(jobs, need, rows=rows)])
+        self._submit([(pair, pair.batch(jobs, need, rows=rows))])
 
     def _submit_bundle(self) -> None:
         """The pairs that wait for company, as one task."""
@@ -318,11 +311,11 @@ class Schedule:
 
     def _submit_together(self, pairs: list[_Pair]) -> None:
         """All that is left of some pairs as one task; each stops before a job that may need more than its share."""
-        batches = []
+        task = []
         for pair in pairs:
             need = costs.pair_bytes(pair.plan.n_points) + self._object_share(pair.plan)
-            batches.append(pair.batch(pair.plan.todo, need))
-        self._submit(pairs, batches)
+            task.append((pair, pair.batch(pair.plan.todo, need)))
+        self._submit(task)
 
     def _weight(self, pair: _Pair) -> float:
         """The part of a batch that a pair is worth."""
@@ -346,24 +339,25 @@ class Schedule:
         for sizes in batches:
             need = costs.pair_bytes(pair.plan.n_points) + costs.object_bytes(sizes[0][1])
             objects = tuple(number for number, _ in sizes)
-            self._submit([pair], [pair.batch(chain, need, objects=objects)])
+            self._submit([(pair, pair.batch(chain, need, objects=objects))])
 
-    def _submit(self, pairs: list[_Pair], batches: list[PairBatch]) -> None:
+    def _submit(self, task: _Task) -> None:
         """Queue a task for `_admit`."""
-        for pair in pairs:
+        for pair, _ in task:
             pair.n_waiting += 1
-        self._waiting.append(_Task(tuple(pairs), tuple(batches)))
+        self._waiting.append(task)
 
     def _admit(self) -> None:
         """Submit queued tasks in their order, as long as those that may run at once fit into the memory."""
         n_workers = self._pool.n_workers
         while self._waiting and len(self._running) < _TASKS_PER_WORKER * n_workers:
             task = self._waiting[0]
-            needs = [each.most_bytes for each in (task, *self._running.values())]
+            needs = [_most_bytes(each) for each in (task, *self._running.values())]
             if self._running and sum(heapq.nlargest(n_workers, needs)) > self._usable():
                 return
             self._waiting.popleft()
-            self._running[self._pool.submit(run_batch, task.batches)] = task
+            batches = [batch for _, batch in task]
+            self._running[self._pool.submit(run_batch, batches)] = task
 
     def _usable(self) -> int:
         """Bytes available to batches, of all workers together."""
@@ -386,6 +380,10 @@ class Schedule:
             f"(machine.memory_gib minus {_gib(costs.PROCESS_BYTES)} for the worker process); a smaller graph.k "
             "makes smaller objects, input.voxel_m, input.include_box or input.max_range_m fewer points"
         )
+
+
+def _most_bytes(task: _Task) -> int:
+    return max(batch.most_bytes for _, batch in task)
 
 
 def _gib(n_bytes: int) -> str:

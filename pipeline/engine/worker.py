@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import traceback
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from itertools import chain
@@ -80,8 +79,13 @@ def run_batch(batches: Sequence[PairBatch]) -> list[BatchResult]:
                     if need > batch.most_bytes and not batch.objects:
                         break
                     note(job_title(*name))
-                    with runner.noting_failure(job):
-                        runner.make_job(job, batch.rows)
+                    try:
+                        with temporary_space():
+                            runner.make_job(job, batch.rows)
+                    except DiskFullError:
+                        raise  # no other pair could go on either
+                    except Exception as error:
+                        runner.fail(_failure(job, error))
         except OutOfTimeError as error:
             runner.fail(JobFailure(batch.jobs[0], str(error)))
         results.append(runner.result)
@@ -102,8 +106,8 @@ def run_in_memory(
     ----------
     stages : in their order
     scans : by side
-    tables : existing tables, with the columns that the stages read; the jobs that make them are not
-        run, nor those of a side without a table or a scan
+    tables : existing tables, at least with the columns that the stages read; the jobs that make
+        them are not run, nor those of a side without a table or a scan
 
     Raises
     ------
@@ -151,8 +155,7 @@ class JobRunner:
         self.result = BatchResult()
         self.scans = dict(scans or {})
         self._objects = objects
-        self._selected: dict[Source, pa.Table] = {}
-        self._stored: dict[Source, pa.Table] = {}
+        self._stored: PairTables = {}
         self._memo = Memo()
         if objects and plan.tables:  # the pair's other batches read the same
             keys = tuple(plan.keys.values())
@@ -162,28 +165,6 @@ class JobRunner:
         """Note the failure of a job."""
         self.plan = self.plan.after(failures=[failure])
         self.result.failures.append(failure)
-
-    @contextmanager
-    def noting_failure(self, job: Job) -> Iterator[None]:
-        """Note why a job fails.
-
-        Raises
-        ------
-        DiskFullError
-            No other pair could go on either.
-        """
-        try:
-            with temporary_space():
-                yield
-        except DiskFullError:
-            raise
-        except (FidpipeError, MemoryError) as error:
-            what = "out of memory: " if isinstance(error, MemoryError) else ""
-            self.fail(JobFailure(job.name, f"{what}{error}"))
-        except Exception as error:
-            trace = "".join(traceback.format_exception(error))
-            reason = f"internal error: {type(error).__name__}: {error}"
-            self.fail(JobFailure(job.name, reason, trace))
 
     def make_job(self, job: Job, rows: tuple[ObjectRows, ...] = ()) -> None:
         """Run a job, and write its results unless they are those of some objects; its errors are raised unchanged.
@@ -216,8 +197,7 @@ class JobRunner:
                 scans[source.side] = partial(self._scan, source.side)
                 continue
             name = source.table, source.side
-            if source.columns:
-                tables[name] = partial(self._read, source, step)
+            tables[name] = partial(self._read, source, step)
             maker = self.plan.jobs[source.maker]
             record = self.plan.records.get(source.maker)
             # rows of objects may be made before the metadata of all
@@ -242,21 +222,17 @@ class JobRunner:
         )
 
     def _read(self, source: Source, step: Steps) -> pa.Table:
-        """The declared columns of a table that was made here or is in the run's folder."""
-        made = self.tables.get((source.table, source.side))
-        known = self._stored if made is None else self._selected
-        if source not in known:
-            if made is None:
-                known[source] = self._read_stored(source, step)
-            else:
-                known[source] = made.select(source.columns)
-        return known[source]
-
-    def _read_stored(self, source: Source, step: Steps) -> pa.Table:
-        path = table_name(source.table, self.plan.pair_id, source.side)
-        stored = self.plan.records[source.maker].files[path]  # type: ignore[index]
-        with step("read"):
-            return self.plan.tables.read(source.table, stored, path, list(source.columns))  # type: ignore[union-attr]
+        """A table that was made here, or is in the run's folder."""
+        name = source.table, source.side
+        if name in self.tables:
+            return self.tables[name]
+        if name not in self._stored:
+            path = table_name(source.table, self.plan.pair_id, source.side)
+            stored = self.plan.records[source.maker].files[path]  # type: ignore[index]
+            with step("read"):
+                rows = self.plan.tables.read(source.table, stored, path)  # type: ignore[union-attr]
+            self._stored[name] = rows
+        return self._stored[name]
 
     def _scan(self, side: str) -> Scan:
         """The scan of a side, whose file must be the one that the keys were made of."""
@@ -328,9 +304,18 @@ def _gathered(job: Job, inputs: Inputs, made: JobResult) -> JobResult:
 
 
 @lru_cache(maxsize=2)
-def _kept(token: str, pair_id: str, keys: tuple[str, ...]) -> tuple[dict[Source, pa.Table], Memo]:
+def _kept(token: str, pair_id: str, keys: tuple[str, ...]) -> tuple[PairTables, Memo]:
     """Stored tables and common results of a pair that has several batches of objects, kept by the process."""
     return {}, Memo()
+
+
+def _failure(job: Job, error: Exception) -> JobFailure:
+    if isinstance(error, FidpipeError):
+        return JobFailure(job.name, str(error))
+    if isinstance(error, MemoryError):
+        return JobFailure(job.name, f"out of memory ({error})")
+    trace = "".join(traceback.format_exception(error))
+    return JobFailure(job.name, f"internal error: {type(error).__name__}: {error}", trace)
 
 
 def job_title(stage: str, part: str) -> str:

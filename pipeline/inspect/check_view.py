@@ -78,7 +78,7 @@ def _notes(prefix: str, texts: Iterable[str], style: str = "") -> list[Note]:
 
 
 def _sensor_lines(sensors: SensorCheck) -> list[Note]:
-    """Sensors of both sides, and scans of other sensors."""
+    """Sensors of both sides."""
     lines = []
     if sensors.sides:
         pairs = count(len(sensors.pair_ids), "pair")
@@ -86,7 +86,7 @@ def _sensor_lines(sensors: SensorCheck) -> list[Note]:
     for side, sensor in sensors.sides.items():
         lines.append(Note(f"{SIDE_NAMES[side]} sensor"))
         lines += _notes("  ", sensor_lines(sensor))
-    return lines + _notes("warning: ", sensors.unlike, "yellow")
+    return lines
 
 
 def _causes(check: CauseCheck) -> View:

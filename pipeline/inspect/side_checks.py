@@ -29,9 +29,7 @@ from ...stages.inspect.sequence_checks import (
 )
 from ...stages.sensor_description import (
     SensorDescription,
-    beams_text,
     describe_sensor,
-    has_other_beams,
 )
 from ...stages.trust import SERIOUS
 from ..datasets.pairs import ScanPair
@@ -46,13 +44,11 @@ class SensorCheck:
     """Sensors of both sides.
 
     pair_ids : pairs whose scans were described
-    sides : by side, the most frequent sensor; a side none of whose files can be read is left out
-    unlike : one line for each scan whose sensor is not that of the other scans of its side
+    sides : by side, the sensor of one of its scans; a side none of whose files can be read is left out
     """
 
     pair_ids: tuple[str, ...]
     sides: dict[str, SensorDescription]
-    unlike: list[str]
 
 
 def stretches_of(pairs: Sequence[ScanPair]) -> list[list[ScanPair]]:
@@ -113,18 +109,19 @@ def sample_scan(
 
 
 def check_sensors(samples: Samples) -> SensorCheck:
-    """The sensors of both sides, and those that differ from the others of their side."""
+    """The sensors of both sides, from the scan with the most points among those whose beams are recognised."""
     sides = {}
-    unlike = []
     pair_ids: set[str] = set()
     for side, scans in samples.items():
         sensors = {name: scan.sensor for name, scan in scans.items() if scan.sensor}
         if sensors:
-            usual, lines = _unlike_others(sensors)
-            sides[side] = sensors[usual]
-            unlike += [f"{SIDE_NAMES[side]} scan of pair {line}" for line in lines]
+            sides[side] = max(sensors.values(), key=_is_telling)
             pair_ids |= sensors.keys()
-    return SensorCheck(tuple(sorted(pair_ids)), sides, unlike)
+    return SensorCheck(tuple(sorted(pair_ids)), sides)
+
+
+def _is_telling(sensor: SensorDescription) -> tuple[bool, int]:
+    return bool(sensor.elevation_deg), sensor.n_points
 
 
 def sensor_doubts(samples: Samples, *, serious: bool) -> list[str]:
@@ -217,27 +214,6 @@ def _offset_text(offset: TimeOffset, pairs: Sequence[ScanPair]) -> str:
         f"pair {offset.frames:+d}, {offset.as_paired_m:.2f} m from their own; "
         "is fidpipe pair's --offset right, or is the simulated sensor mounted farther ahead or back?"
     )
-
-
-def _unlike_others(sensors: Mapping[str, SensorDescription]) -> tuple[str, list[str]]:
-    """Name of the scan whose sensor is the most frequent, and one line for each scan with another sensor.
-
-    Parameters
-    ----------
-    sensors : by name of the scan, at least one
-    """
-    seen = {name: sensor for name, sensor in sensors.items() if sensor.elevation_deg} or sensors
-
-    def n_alike(name: str) -> tuple[int, int]:
-        others = [other for other in seen.values() if not has_other_beams(seen[name], other)]
-        return len(others), seen[name].n_points
-
-    usual = max(seen, key=n_alike)
-    lines = []
-    for name, sensor in seen.items():
-        if has_other_beams(seen[usual], sensor):
-            lines.append(f"{name}: {beams_text(sensor)}; others {beams_text(seen[usual])}")
-    return usual, lines
 
 
 def _ego_text(hits: EgoHits, side: str, settings: InputSettings) -> str:

@@ -18,7 +18,6 @@ from ..stage import Grain, Inputs, JobResult, Stage
 from ..storage.table_files import JobRecord
 from .points_job import (
     MATCHED_OBJECTS,
-    NODE_COLUMNS,
     coordinates,
     kept_nodes,
     matched_objects,
@@ -86,10 +85,6 @@ def summarise_baselines(records: Iterable[JobRecord], settings: Settings) -> dic
     return {"baselines": summary}
 
 
-def _is_wanted(settings: Settings) -> bool:
-    return bool(settings.metrics.baselines)
-
-
 def _row(value: Baseline, real_id: int | None, sim_id: int | None) -> Row:
     ids = {"real_id": real_id, "sim_id": sim_id}
     return ids | {"baseline": value.name, "unit": value.unit} | vars(value)
@@ -97,35 +92,28 @@ def _row(value: Baseline, real_id: int | None, sim_id: int | None) -> Row:
 
 def _means(rows: list[Row]) -> list[Row]:
     """The pair's mean of each baseline over objects, and its value of the whole scan."""
-    groups: dict[tuple[str, str], list[Row]] = {}
+    groups: dict[tuple[str, str], list[float | None]] = {}
     for row in rows:
         level = OF_SCAN if row["real_id"] is None else OF_OBJECTS
-        groups.setdefault((level, row["baseline"]), []).append(row)
+        groups.setdefault((level, row["baseline"]), []).append(row["value"])
     means = []
-    for (level, name), alike in groups.items():
-        known = [row["value"] for row in alike if row["value"] is not None]
-        means.append(
-            {
-                "level": level,
-                "baseline": name,
-                "unit": alike[0]["unit"],
-                "mean": sum(known) / len(known) if known else None,
-                "n": len(known),
-                "n_null": len(alike) - len(known),
-            }
-        )
+    for (level, name), values in groups.items():
+        known = [value for value in values if value is not None]
+        mean = sum(known) / len(known) if known else None
+        counts = {"n": len(known), "n_null": len(values) - len(known)}
+        means.append({"level": level, "baseline": name, "mean": mean} | counts)
     return means
 
 
 STAGE = Stage(
     name="baselines",
-    takes={**MATCHED_OBJECTS, "selection": NODE_COLUMNS},
+    takes=(*MATCHED_OBJECTS, "selection"),
     gives=("baselines",),
     settings=("metrics",),
     grain=Grain.PAIR,
     version=4,
     make=make_baselines,
     libraries=("POT",),
-    is_wanted=_is_wanted,
+    is_wanted=lambda settings: bool(settings.metrics.baselines),
     summarise=summarise_baselines,
 )

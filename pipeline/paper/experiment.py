@@ -77,7 +77,7 @@ def experiment_stage(
     groups = [group for group in Settings.model_fields if group != "machine"]
     return Stage(
         name=name,
-        takes={SCAN: ()},
+        takes=(SCAN,),
         gives=tables,
         settings=(*groups, name),
         grain=Grain.PAIR,
@@ -155,11 +155,8 @@ def run_experiment(
     with folder.locked():
         run = _ExperimentRun(source, names, folder, (stage,), settings, reporter)
         run.survey_results(replace=replace_finished)
-        machines = Machines(n_workers)
-        with run.started_pool(machines) as pool:
-            run.replace_stale()
-            if run.survey.todo:
-                run.schedule(pool, machines).run()
+        with run.schedule(Machines(n_workers)) as schedule:
+            schedule.run()
         failures = run.collector.failures
         if failures and scan_ref(source.folder).exists:
             raise ScanError("; ".join(failures.values()))

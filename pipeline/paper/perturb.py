@@ -21,7 +21,6 @@ from ...schemas.columns import Row
 from ...schemas.errors import SettingsError
 from ...schemas.metric_catalogue import DATASET_SCORES, OBJECT_METRICS
 from ...schemas.settings import Settings
-from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray
 from ...stages.baselines import compare_points
 from ...stages.generate.flaws import FLAWS, KINDS, Perturbation, perturb
@@ -152,23 +151,23 @@ def make_perturbations(inputs: Inputs) -> JobResult:
     _, points = points_in(tables["ground", "real"])
     labels = column(tables["communities", "real"], "community_id")
     global_rows = []
-    for names in _repeats(request, inputs.pair_id, "all", request.global_repeats):
-        global_rows.append(names | _altered_scan(tables, points, names, settings))
+    for level, trial in _trials(request, inputs.pair_id, "all", request.global_repeats):
+        global_rows.append(trial | _altered_scan(tables, points, level, trial["seed"], settings))
     objects = choose_objects(objects_in(tables), inputs.pair_id, settings.graph.k)
     object_rows = []
     baseline_rows = []
     for chosen in objects:
         number = chosen["community_id"]
         before = graph_of(points[labels == number], settings.graph)
-        for repeat in _repeats(request, inputs.pair_id, number, request.repeats):
-            names = repeat | {"community_id": number, "object": chosen["name"]}
-            scores, baselines = _altered_object(before, names, settings)
+        for level, trial in _trials(request, inputs.pair_id, number, request.repeats):
+            names = trial | {"community_id": number, "object": chosen["name"]}
+            scores, baselines = _altered_object(before, level, trial["seed"], settings)
             object_rows.append(names | scores)
             baseline_rows += [names | baseline for baseline in baselines]
     results = {
-        "perturb_global": TABLES["perturb_global"].from_rows(global_rows),
-        "perturb_objects": TABLES["perturb_objects"].from_rows(object_rows),
-        "perturb_baselines": TABLES["perturb_baselines"].from_rows(baseline_rows),
+        "perturb_global": inputs.rows("perturb_global", global_rows),
+        "perturb_objects": inputs.rows("perturb_objects", object_rows),
+        "perturb_baselines": inputs.rows("perturb_baselines", baseline_rows),
     }
     return JobResult(results, {"chosen": objects})
 
@@ -181,13 +180,13 @@ STAGE = experiment_stage(
 )
 
 
-def _repeats(
+def _trials(
     request: PerturbRequest,
     pair_id: str,
     scope: int | str,
     n_repeats: int,
-) -> Iterator[Row]:
-    """The first columns of the row of each level and repeat.
+) -> Iterator[tuple[Perturbation, Row]]:
+    """Each level and repeat, with the first columns of its row.
 
     The seed is 60 bits of a hash of the request's seed, scan, scope, level and repeat.
 
@@ -198,19 +197,14 @@ def _repeats(
     for level in request.levels:
         for repeat in range(n_repeats):
             digits = key_of("perturb", request.seed, pair_id, scope, *astuple(level), repeat)
-            seed = int(digits[:15], 16)
-            yield vars(level) | {"pair_id": pair_id, "repeat": repeat, "seed": seed}
+            yield level, vars(level) | {"repeat": repeat, "seed": int(digits[:15], 16)}
 
 
-def _altered(points: FloatArray, names: Row) -> FloatArray:
-    """Points altered as the first columns of a row say."""
-    level = Perturbation(names["kind"], names["amount"], names["shift_m"])
-    return perturb(points, level, np.random.default_rng(names["seed"]))
-
-
-def _altered_scan(tables: PairTables, points: FloatArray, names: Row, settings: Settings) -> Row:
+def _altered_scan(
+    tables: PairTables, points: FloatArray, level: Perturbation, seed: int, settings: Settings
+) -> Row:
     """Scores of the scan with all object points altered, everything from the graph on recomputed."""
-    altered = _altered(points, names)
+    altered = perturb(points, level, np.random.default_rng(seed))
     row: Row = {
         "n_points": len(points),
         "n_points_altered": len(altered),
@@ -220,8 +214,8 @@ def _altered_scan(tables: PairTables, points: FloatArray, names: Row, settings: 
         reason = f"expected at least {MIN_OBJECT_POINTS} points, got {len(altered)}"
         return row | {"reason": reason}
     used = settings
-    if names["kind"] == "null":  # with another Louvain seed
-        communities = settings.communities.model_copy(update={"seed": names["seed"] % 2**31})
+    if level.kind == "null":  # with another Louvain seed
+        communities = settings.communities.model_copy(update={"seed": seed % 2**31})
         used = settings.model_copy(update={"communities": communities})
     both = tables | {("ground", "sim"): ground_table(altered)}  # the real side is unaltered
     summary = score_pair(used, both)
@@ -230,14 +224,16 @@ def _altered_scan(tables: PairTables, points: FloatArray, names: Row, settings: 
     return row
 
 
-def _altered_object(before: Subgraph, names: Row, settings: Settings) -> tuple[Row, list[Row]]:
+def _altered_object(
+    before: Subgraph, level: Perturbation, seed: int, settings: Settings
+) -> tuple[Row, list[Row]]:
     """Scores of one object with altered points, and a row for each baseline metric.
 
     Parameters
     ----------
     before : the unaltered object with the graph of its points alone
     """
-    altered = _altered(before.points, names)
+    altered = perturb(before.points, level, np.random.default_rng(seed))
     row: Row = {"n_points": len(before.points), "n_points_altered": len(altered)}
     if not len(altered):
         reason = f"expected at least {MIN_NODES} points for a spectrum, got 0"

@@ -36,6 +36,7 @@ class Table:
     digits : by index of a column, the digits of its floats; by default three
     wide : indices of columns that a terminal has no room for
     whole : indices of columns of words that never break into lines
+    links : what the first cell of each row leads to on a page; "" for nothing
     """
 
     title: str
@@ -45,6 +46,7 @@ class Table:
     digits: Mapping[int, int] = field(default_factory=dict)
     wide: Container[int] = ()
     whole: Container[int] = ()
+    links: Sequence[str] = ()
 
     @property
     def cells(self) -> list[list[str]]:
@@ -114,11 +116,6 @@ def signed(value: float | None) -> str:
 def percent(value: float | None) -> str:
     """A share in per cent."""
     return "-" if value is None else f"{100 * value:.0f} %"
-
-
-def mean_and_spread(mean: float | None, std: float | None, digits: int = 3) -> str:
-    """A mean with its standard deviation, each a dash if absent."""
-    return f"{number(mean, digits)} ± {number(std, digits)}"
 
 
 def count(n: int, noun: str) -> str:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -18,12 +18,18 @@ from pydantic import TypeAdapter
 from ...schemas.columns import Row
 from ...schemas.data_files import parse_toml
 from ...schemas.errors import RunError
-from ...schemas.metric_catalogue import OBJECT_METRICS, RUN_SCORES, metric_of
+from ...schemas.metric_catalogue import METRIC, OBJECT_METRICS, RUN_SCORES
 from ...schemas.results import JsonObject
+from ...stages.arrays import FloatArray
 from ...stages.statistics.validation import double_validation_metric
-from ..storage.run_record import read_run
 from ..storage.urls import url_or_path
-from .finished import FinishedRun, settings_changes, version_changes
+from .finished import (
+    OTHER_SCAN,
+    FinishedRun,
+    pairs_left_out,
+    settings_changes,
+    version_changes,
+)
 from .object_frame import plain_rows
 
 if TYPE_CHECKING:
@@ -31,22 +37,16 @@ if TYPE_CHECKING:
 
 BEST_CASE_DATASET = "dataset"
 BEST_CASE_RECIPE = "best_case.toml"
-BEST_CASE_AMOUNTS = "best_case.csv"
 AS_MEASURED: Literal["measured"] = "measured"  #: noise or losses that each real scan shows itself
 #: What has a best case: columns of `pairs`.
-SCORES = (
-    "match_rate",
-    "n_not_found",
-    "n_extra",
-    *(name for name in RUN_SCORES if name != "match_rate"),
-)
+SCORES = ("n_not_found", "n_extra", *RUN_SCORES)
 
 
 @dataclass(frozen=True)
 class BestCaseRecipe:
     """Recipe of the second measurements of a best case.
 
-    noise_m, lost_share : "measured" for those that each scan shows, listed in `BEST_CASE_AMOUNTS`
+    noise_m, lost_share : "measured" for those that each scan shows
     seed : of noise and losses
     dataset : whose real scans they are of
     """
@@ -118,15 +118,6 @@ def read_recipe(run: Path) -> BestCaseRecipe | None:
         return None
 
 
-def run_of_best_case(best_case: Path, recipe: BestCaseRecipe) -> str:
-    """The run next to a best case that is of the same dataset, as commands take it; "RUN" if there is none."""
-    for name in (best_case.name.removesuffix("-best-case"), Path(recipe.dataset).name):
-        run = best_case.with_name(name)
-        if run != best_case and read_run(run).get("dataset") == recipe.dataset:
-            return url_or_path(run)
-    return "RUN"
-
-
 def excess_over(run: FinishedRun, best_case: Path) -> RunExcess:
     """Each score of a run minus that of the same pair in the best case, and the distance of both distributions.
 
@@ -153,59 +144,59 @@ def excess_over(run: FinishedRun, best_case: Path) -> RunExcess:
             f"{command}; for changes against another run: fidpipe compare, diagnose --since"
         )
     other = FinishedRun(best_case)
-    scored = set(other.names)
-    names = tuple(name for name in run.names if name in scored)
-    hashes = {name: of_scans.get("real") for name, of_scans in run.record.inputs.items()}
-    theirs = other.record.inputs
-    moved = [name for name in hashes if name in theirs and hashes[name] != theirs[name].get("real")]
-    problem = ""
-    if differing := settings_changes(run, other):
-        problem = f"settings differ ({'; '.join(differing)})"
-    elif moved:
-        problem = f"the real scans of {len(moved)} pairs differ ({', '.join(moved[:3])})"
-    elif not names:
-        problem = "no pair is scored in both"
-    if problem:
+    left_out = pairs_left_out(run, other)
+    names = tuple(name for name in run.names if name not in left_out)
+    if problem := _problem(run, other, left_out):
         runs = f"run {run.folder} and best case {best_case}"
         raise RunError(f"{runs}: {problem}; make one for it: {command}")
-    of_run, of_best_case = [one.scores.loc[[*names], [*SCORES]] for one in (run, other)]
-    of_pairs = of_run - of_best_case
-    has_both = of_pairs.notna()
-    scores = {
-        "n_pairs": has_both.sum(),
-        "mean": of_run[has_both].mean(),
-        "best_case": of_best_case[has_both].mean(),
-        "excess": of_pairs.mean(),
-        "std": of_pairs.std(),
-    }
-    distances = _distances([run, other], names)
+    of_pairs = run.scores.loc[[*names], [*SCORES]] - other.scores.loc[[*names], [*SCORES]]
     return RunExcess(
         run=run.folder,
         best_case=best_case,
         recipe=recipe,
         pairs=names,
-        left_out=tuple(name for name in run.names if name not in scored),
+        left_out=tuple(name for name in run.names if name in left_out),
         notes=tuple(version_changes(run, other)),
-        scores=dict(zip(SCORES, plain_rows(distances.assign(**scores)), strict=True)),
+        scores=_excess(run, other, of_pairs),
         of_pairs=of_pairs,
         task_gaps=other.record.task_gaps,
     )
 
 
-def _distances(runs: Sequence[FinishedRun], names: Sequence[str]) -> pd.DataFrame:
-    """Bias and area of each score between a run and its best case; NaN if a side has no value."""
+def _problem(run: FinishedRun, other: FinishedRun, left_out: Mapping[str, str]) -> str:
+    """Why a run has no excess over a best case; "" if it has."""
+    if differing := settings_changes(run, other):
+        return f"settings differ ({'; '.join(differing)})"
+    moved = [name for name, why in left_out.items() if why == OTHER_SCAN]
+    if moved:
+        return f"the real scans of {len(moved)} pairs differ ({', '.join(moved[:3])})"
+    return "no pair is scored in both" if left_out.keys() >= {*run.names} else ""
+
+
+def _excess(run: FinishedRun, other: FinishedRun, of_pairs: pd.DataFrame) -> dict[str, Row]:
+    """The `scores` of `RunExcess`, from its `of_pairs`."""
     import pandas as pd
 
-    of_objects = []
-    for run in runs:
-        objects = run.objects_of(names, OBJECT_METRICS, ("real",))
-        of_objects.append(objects[objects["fate"] == "matched"])
-    distances = []
-    for column in SCORES:
-        metric = metric_of(column).column
-        frames = of_objects
-        if metric not in OBJECT_METRICS:
-            frames = [run.scores.loc[[*names]] for run in runs]
-        sim, real = [frame[metric].to_numpy() for frame in frames]
-        distances.append(double_validation_metric(real, sim))
-    return pd.DataFrame(distances, index=[*SCORES], dtype=np.float64)
+    names = [*of_pairs.index]
+    has_both = of_pairs.notna()
+    sim, real = [_values(one, names) for one in (run, other)]
+    apart = [double_validation_metric(real[column], sim[column]) for column in SCORES]
+    summary = pd.DataFrame(apart, index=[*SCORES], dtype=np.float64).assign(
+        n_pairs=has_both.sum(),
+        mean=run.scores.loc[names][has_both].mean(),
+        best_case=other.scores.loc[names][has_both].mean(),
+        excess=of_pairs.mean(),
+        std=of_pairs.std(),
+    )
+    return dict(zip(SCORES, plain_rows(summary), strict=True))
+
+
+def _values(run: FinishedRun, names: Sequence[str]) -> dict[str, FloatArray]:
+    """Values by column of `pairs`: of all matched objects of some pairs for a score of objects, else of the pairs."""
+    scores = run.scores.loc[[*names], [*SCORES]]
+    values = {column: scores[column].to_numpy() for column in SCORES}
+    objects = run.objects_of(names, OBJECT_METRICS, ("real",))
+    matched = objects[objects["fate"] == "matched"]
+    for name in OBJECT_METRICS:
+        values[METRIC[name].mean_column] = matched[name].to_numpy()
+    return values

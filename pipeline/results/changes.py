@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 import pandas as pd
 
-from ...schemas.cause_catalogue import CAUSES, FLAT, PARAMETERS
+from ...schemas.cause_catalogue import CAUSES, FLAT, PARAMETERS, CauseModel
 from ...schemas.results import Cause, ChangedCause
 from ...stages.arrays import FloatArray, IntArray, transform_of
 from ...stages.causes.estimates import estimate_between
@@ -29,13 +29,14 @@ from ...stages.statistics.findings import evenly
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
 from ..jobs.gains_job import SEED
-from ..jobs.points_job import CUT_COLUMNS, cut_scan
+from ..jobs.points_job import cut_scan
 from ..stage import FRAMES
 from ..storage.folder import RunFolder
 from ..storage.run_record import read_run
 from .causes import (
     LEAST_PART_OF_POSE,
     CauseRows,
+    cause_words,
     changed_causes,
     independent_blocks,
     read_causes,
@@ -173,7 +174,7 @@ def measure_between(task: _Task) -> dict[str, float]:
 def _sim_side(folder: Path, pair_id: str) -> Side:
     """The simulated side of a pair of a run."""
     store = RunFolder(folder)
-    ground = store.read_table("ground", pair_id, "sim", list(CUT_COLUMNS))
+    ground = store.read_table("ground", pair_id, "sim")
     jobs = store.ledger.jobs(pair_id)
     sensor = SensorDescription(**jobs["sensor", "sim"].metadata["sensor"])
     moved = jobs["ground", "sim"].metadata["T_real_sim"]
@@ -251,14 +252,19 @@ def _with_verdict(
     verdict = _verdict(first, last, resolution) if cause.kind == "sensor" else ""
     words = cause.words
     if first is not None and last is not None and abs(first) > resolution:
-        now = _signed(last, cause.unit) if abs(last) > resolution else "no difference left"
-        words = f"{cause.name}: {now}, before {_signed(first, cause.unit)}"
+        words = _words_of_both(CAUSES[cause.name], first, last)
     update = {"before": first, "after": last, "verdict": verdict, "words": words}
     return ChangedCause(**cause.model_dump(exclude_unset=True) | update)
 
 
-def _signed(amount: float, unit: str) -> str:
-    return ("-" if amount < 0 else "+") + size_words(amount, unit)
+def _words_of_both(model: CauseModel, before: float, after: float) -> str:
+    """A cause with its amounts in both runs."""
+    if abs(after) <= model.resolution:
+        sign = "-" if before < 0 else "+"
+        return f"{model.name}: no difference left, before {sign}{size_words(before, model.unit)}"
+    is_alike = (before < 0) == (after < 0)
+    size = size_words(before, model.unit) if is_alike else cause_words(model, before)
+    return f"{cause_words(model, after)}, before {size}"
 
 
 def _mean(rows: pd.DataFrame, blocks: IntArray) -> float | None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...schemas.cause_catalogue import BEST_CASE_ACCURACY, CAUSES, PARAMETERS
 from ...schemas.record import RunRecord
-from ...schemas.results import Cause, Diagnosis, Overview
+from ...schemas.results import Cause, Diagnosis
 from ..stage import AMOUNTS, DISTANCES
 from ..storage.folder import RunFolder
 from .causes import least_part_of_pose
@@ -25,11 +25,6 @@ LEAST_EXCESS_M = 0.005
 LEAST_PART = 0.03
 
 
-def causes_to_correct(overview: Overview) -> list[Cause]:
-    """The causes of a run that the catalogue has; a run of another version may have others."""
-    return [cause for cause in overview.causes if cause.name in CAUSES]
-
-
 def diagnosis_of(store: RunFolder, record: RunRecord, pair_ids: Sequence[str]) -> Diagnosis | None:
     """The diagnosis of a run; None if no pair is scored, or if it was not diagnosed since its causes changed.
 
@@ -39,7 +34,7 @@ def diagnosis_of(store: RunFolder, record: RunRecord, pair_ids: Sequence[str]) -
     """
     if record.overview is None:
         return None
-    causes = causes_to_correct(record.overview)
+    causes = record.overview.causes
     amounts = {cause.name: cause.estimate for cause in causes}
     distances_m = []
     for pair_id in pair_ids:

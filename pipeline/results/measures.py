@@ -38,8 +38,7 @@ from .odometry import compare_odometry
 if TYPE_CHECKING:
     import pandas as pd
 
-OF_PAIRS = ("mean", "std", "min", "median", "max")
-OF_OBJECTS = ("mean", "std", "min", "q05", "q25", "median", "q75", "q95", "max")
+STATISTICS = ("mean", "std", "min", "q05", "q25", "median", "q75", "q95", "max")
 #: Of the double validation metric, over objects where a score has them.
 OF_DISTRIBUTIONS = ("bias", "area")
 COUNTS = ("total", "mean", "min", "max", "share")
@@ -60,27 +59,21 @@ SENSOR_VALUES = {
     for row in read_rows("tables")
     if row["table"] == "pairs" and row["column"].startswith("sensor_")
 }
-#: Measures of tasks: `tasks.objects.lost` is the mean of their gap, `tasks.objects.lost.max` its largest value.
-TASK_MEASURES = (
-    *("objects.lost", "objects.added", "objects.size_m", "objects.place_m"),
-    *("ground.disagreement", "ground.height_m"),
-    *("occupancy.mismatch", "occupancy.wrongly_free", "occupancy.wrongly_occupied"),
-    *("free_space.distance_m", "free_space.too_far"),
-)
+#: Gaps of tasks: `tasks.objects.lost` is the mean, `tasks.objects.lost.max` the largest value.
+TASK_GAPS = {f"tasks.{name}": name for name in scores_of("task")}
 #: Measures of odometry: `tasks.odometry.drift_m` is the gap over the longest sequence of scans.
 ODOMETRY_MEASURES = ("drift_m", "step_m", "turn_deg")
 #: Names of causes by that of the catalogue.
 CAUSE_NAMES = {name.replace(" ", "_"): name for name in CAUSES if name != UNEVEN}
-_COLUMNS = PAIR_SCORES | DOTTED | SENSOR_VALUES | {name: name for name in TASK_MEASURES}
+_COLUMNS = PAIR_SCORES | DOTTED | SENSOR_VALUES | TASK_GAPS
 
 #: Names to guess from what a wrong one means.
 _EXAMPLES = (
-    *(f"{value}.mean" for value in (*PAIR_SCORES, *DOTTED, *SENSOR_VALUES)),
+    *(f"{name}.mean" for name in _COLUMNS),
     *(f"objects.{score}.q95" for score in DISTRIBUTED),
     *("not_found.within_20m", "not_found.share", "extra.within_20m", "extra.share", "matched.min"),
     *(f"pairs.{state}" for state in STATES),
     *(f"causes.{name}" for name in CAUSE_NAMES),
-    *(f"tasks.{measure}" for measure in TASK_MEASURES),
     *(f"tasks.odometry.{measure}" for measure in ODOMETRY_MEASURES),
 )
 
@@ -126,12 +119,11 @@ class Measures:
             pass  # it is there and cannot be read, which `_dataset` says
         return False
 
-    def _of_pairs(self, score: str, stat: str | None) -> float:
-        """A statistic over pairs, by default the mean."""
+    def _of_pairs(self, score: str, stat: str = "mean") -> float:
         column = _COLUMNS[score]
         if column not in self.run.scores:
             raise _AbsentError(f"the run has no {score}; add it with fidpipe run --tasks")
-        return _statistic(self.run.scores[column].to_numpy(), stat or "mean", "pair", score)
+        return _statistic(self.run.scores[column].to_numpy(), stat, "pair", score)
 
     def _over_best_case(self, score: str, stat: str) -> float:
         if self._excess is None:
@@ -261,19 +253,14 @@ def _either(name: str, words: Iterable[str]) -> str:
 
 _CLASS = r"class\.(?P<label>.+)\."
 _WITHIN = r"(?:\.within_(?P<within>[0-9]+(?:\.[0-9]+)?)m)?"
-_SCORE = _either("score", (*PAIR_SCORES, *DOTTED))
+_STATISTIC = _either("stat", STATISTICS)
 _FATE = _either("fate", ("not_found", "extra", "matched"))
-_OF_PAIRS = _either("stat", OF_PAIRS)
 _MEASURES: dict[str, Callable[..., float]] = {
-    rf"{_SCORE}\.{_OF_PAIRS}": Measures._of_pairs,
-    rf"{_either('score', SENSOR_VALUES)}\.{_OF_PAIRS}": Measures._of_pairs,
-    rf"tasks\.{_either('score', TASK_MEASURES)}(?:\.{_OF_PAIRS})?": Measures._of_pairs,
-    rf"excess\.{_SCORE}\.{_either('stat', (*OF_PAIRS, *OF_DISTRIBUTIONS))}": (
-        Measures._over_best_case
-    ),
-    rf"(?:objects\.|{_CLASS}){_either('score', DISTRIBUTED)}\.{_either('stat', OF_OBJECTS)}": (
-        Measures._of_objects
-    ),
+    rf"{_either('score', _COLUMNS)}\.{_STATISTIC}": Measures._of_pairs,
+    _either("score", TASK_GAPS): Measures._of_pairs,
+    rf"excess\.{_either('score', PAIR_SCORES | DOTTED)}\."
+    rf"{_either('stat', (*STATISTICS, *OF_DISTRIBUTIONS))}": Measures._over_best_case,
+    rf"(?:objects\.|{_CLASS}){_either('score', DISTRIBUTED)}\.{_STATISTIC}": Measures._of_objects,
     rf"(?:{_CLASS})?{_FATE}{_WITHIN}(?:\.{_either('count', COUNTS)})?": Measures._count,
     rf"pairs\.{_either('state', STATES)}": Measures._pairs,
     rf"tasks\.odometry\.{_either('measure', ODOMETRY_MEASURES)}": Measures._odometry,

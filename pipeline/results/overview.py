@@ -1,6 +1,7 @@
 """The overview of a run: what to fix first, the largest missing and invented pieces, and limits to the trust in them.
 
-It and the findings are made from the tables of objects, read some pairs at a time (`describe_objects`).
+And the findings over the objects of all pairs, the numbers of the paper's section "Real experiments": counts and
+distributions pool the objects; means over pairs are in `stages.summary`.
 """
 
 from __future__ import annotations
@@ -15,22 +16,34 @@ import numpy as np
 import pyarrow as pa
 
 from ...schemas.columns import SIDE_NAMES, SIDES, Row
+from ...schemas.metric_catalogue import DISTRIBUTED
 from ...schemas.record import (
     ELSEWHERE,
     FrameSuspect,
     RunRecord,
 )
-from ...schemas.results import Caution, Findings, Overview, Piece
+from ...schemas.results import (
+    Caution,
+    DensityRatio,
+    Distribution,
+    Findings,
+    ObjectGroup,
+    Overview,
+    Piece,
+    RankCorrelation,
+)
 from ...schemas.tables import TABLES
 from ...stages.arrays import BoolArray, FloatArray
 from ...stages.statistics.comparison import LEAST_PAIRS
+from ...stages.statistics.findings import BAND_NAMES, distribution
+from ...stages.summary import median_of
 from ..storage.files import path_exists
 from ..storage.folder import RunFolder
+from ..storage.run_record import as_options
 from ..storage.urls import recorded_path
 from .best_case import BEST_CASE_RECIPE
 from .causes import named_and_small, read_causes, unknown_causes
 from .independence import NEEDED, find_places, pairs_and_places
-from .object_findings import FINDINGS_COLUMNS, summarise_objects
 from .object_frame import object_frame, plain_rows
 from .places import moved_words, place_words
 
@@ -54,8 +67,14 @@ BAD_ALIGNMENT_WORDS = (
 )
 NO_LABEL = "(no label)"
 _KEYS = ["pair", "side", "fate", "n_points"]
-#: Columns of the frame of objects that the overview uses.
-OVERVIEW_COLUMNS = ("r_lambda", "alignment_rms_m", "diagonal_m")
+#: The paper: n_sim is from under a quarter to over four times n_real.
+SPARSE_RATIO = 0.25
+DENSE_RATIO = 4.0
+#: Requested columns of the frame of objects.
+_COLUMNS = (
+    *("range_m", "band", "label", "covered_0p3m", "n_real", "n_sim"),
+    *(*DISTRIBUTED, "alignment_rms_m", "diagonal_m"),
+)
 
 
 def alignment_is_bad(
@@ -96,9 +115,8 @@ def describe_objects(
     if not len(scored):
         return None, None
     pair_ids = scored["pair_id"].to_pylist()
-    columns = list({*FINDINGS_COLUMNS, *OVERVIEW_COLUMNS})
-    objects = object_frame(store, pair_ids, columns, by_reference=by_reference)
-    objects = objects.loc[objects["fate"] != "remnant", [*_KEYS, *columns]]
+    objects = object_frame(store, pair_ids, _COLUMNS, by_reference=by_reference)
+    objects = objects.loc[objects["fate"] != "remnant", [*_KEYS, *_COLUMNS]]
     objects["label"] = objects["label"].fillna("")
     blocks = find_places(store, pair_ids, hashes, timestamps_s)
     places = dict(zip(pair_ids, blocks.tolist(), strict=True))
@@ -114,6 +132,91 @@ def describe_objects(
         **_alignment(objects),
     )
     return findings, overview
+
+
+def summarise_objects(objects: pd.DataFrame, places: Mapping[str, int]) -> Findings:
+    """Compute distributions, density ratios, correlation and groups; None for missing values.
+
+    Parameters
+    ----------
+    objects : of both sides without remnants, with `_COLUMNS`; label is "" if an object has none
+    places : by pair, the number of its place
+    """
+    is_matched = objects["fate"] == "matched"
+    matched = objects[is_matched & (objects["side"] == "real")]
+    return Findings(
+        n_matched=len(matched),
+        distributions=_distributions(matched),
+        rank_correlation=rank_correlation(
+            matched["cdc"].to_numpy(), matched["r_lambda"].to_numpy()
+        ),
+        density_ratio=density_ratio((matched["n_sim"] / matched["n_real"]).to_numpy()),
+        median_matched_m=median_of(matched["range_m"].to_numpy()),
+        median_unmatched_m=median_of(objects.loc[~is_matched, "range_m"].to_numpy()),
+        groups=tuple(_groups(objects)),
+        n_places=len(set(places.values())),
+        places=dict(places),
+    )
+
+
+def rank_correlation(a: FloatArray, b: FloatArray) -> RankCorrelation:
+    """Spearman's rho and Kendall's tau-b of the objects with both scores; None for fewer than 3 or constant scores."""
+    from scipy.stats import kendalltau, spearmanr  # takes long to load
+
+    both = ~(np.isnan(a) | np.isnan(b))
+    a = a[both]
+    b = b[both]
+    if len(a) < 3 or np.ptp(a) == 0 or np.ptp(b) == 0:
+        return RankCorrelation(n=len(a), spearman=None, kendall=None)
+    spearman = float(spearmanr(a, b).statistic)
+    return RankCorrelation(n=len(a), spearman=spearman, kendall=float(kendalltau(a, b).statistic))
+
+
+def density_ratio(ratio: FloatArray) -> DensityRatio:
+    """Distribution of n_sim / n_real, and the shares below a quarter and above four; None without objects."""
+    return DensityRatio(
+        **vars(distribution(ratio)),
+        share_below_quarter=float(np.mean(ratio < SPARSE_RATIO)) if len(ratio) else None,
+        share_above_four=float(np.mean(ratio > DENSE_RATIO)) if len(ratio) else None,
+    )
+
+
+def _groups(objects: pd.DataFrame) -> Iterator[ObjectGroup]:
+    """The objects by range, then by class, the class with most objects first."""
+    for band, name in enumerate(BAND_NAMES):
+        yield _group("range", name, objects[objects["band"] == band])
+    sizes = objects[objects["label"] != ""].groupby("label").size()
+    for label in sizes.sort_values(ascending=False, kind="stable").index:
+        yield _group("class", label, objects[objects["label"] == label])
+
+
+def _group(by: str, name: str, objects: pd.DataFrame) -> ObjectGroup:
+    real, sim = [objects[objects["side"] == side] for side in SIDES]
+    matched = real[real["fate"] == "matched"]
+    return ObjectGroup(
+        by=by,
+        name=name,
+        n_real=len(real),
+        n_not_found=len(real) - len(matched),
+        n_sim=len(sim),
+        n_extra=int((sim["fate"] == "extra").sum()),
+        n_real_points=int(real["n_points"].sum()),
+        missing_share=_uncovered_share(real),
+        n_sim_points=int(sim["n_points"].sum()),
+        invented_share=_uncovered_share(sim),
+        scores=_distributions(matched),
+    )
+
+
+def _distributions(matched: pd.DataFrame) -> dict[str, Distribution]:
+    return {name: distribution(matched[name].to_numpy()) for name in DISTRIBUTED}
+
+
+def _uncovered_share(objects: pd.DataFrame) -> float | None:
+    """Share of the points of some objects without a counterpart within 0.3 m; None without points."""
+    n_points = objects["n_points"]
+    n_uncovered = (n_points * (1 - objects["covered_0p3m"].fillna(0.0))).sum()
+    return float(n_uncovered / n_points.sum()) if n_points.any() else None
 
 
 def _doubts(store: RunFolder, pair_ids: Sequence[str]) -> list[str]:
@@ -159,49 +262,50 @@ def _piece(row: Row) -> Piece:
     if row["fate"] == "moved":
         fate = "moved"
         fate_words = moved_words(row["moved_x_m"], row["moved_y_m"], row["moved_z_m"])
-    stored = {name: row[name] for name in Piece.model_fields if name in row}
+    stored = {name: row[name] for name in ("pair_id", "side", "piece_id", "n_points")}
     words = place_words(row["label"], extents, row["range_m"], row["bearing_deg"])
-    own = {"fate": fate, "extents_m": extents, "words": words, "fate_words": fate_words}
-    return Piece(**stored | own)
+    return Piece(**stored, fate=fate, words=words, fate_words=fate_words)
 
 
 def cautions(overview: Overview, record: RunRecord) -> list[Caution]:
     """Limits to the trust in the numbers of a run, most important first; from its record without an overview."""
+    return [Caution(kind=kind, words=words) for kind, words in _limits(overview, record)]
+
+
+def _limits(overview: Overview, record: RunRecord) -> Iterator[tuple[str, str]]:
+    """Kind and words of each caution."""
     pairs = record.pairs
     n_pairs = pairs.scored + pairs.failed + pairs.to_do
     n_places = record.findings.n_places if record.findings else 0
     counted = pairs_and_places(pairs.scored, n_places)
-    found: list[tuple[str, str]] = []
-    if pairs.failed:
-        found.append(("failed", f"{pairs.failed} of {n_pairs} pairs failed and count nowhere"))
     if pairs.to_do:
-        found.append(("to_do", f"{pairs.to_do} of {n_pairs} pairs are not evaluated yet"))
-    found += [("frames", words) for words in _frame_words(record.frames, n_pairs)]
+        yield "to_do", f"{pairs.to_do} of {n_pairs} pairs are not evaluated yet"
+    for words in _frame_words(record.frames, n_pairs):
+        yield "frames", words
     if record.notes:
         pair_id, (note, *_) = next(iter(record.notes.items()))
-        words = f"ground cut, notes on {len(record.notes)} of {n_pairs} pairs; {pair_id}: {note}"
-        found.append(("ground", words))
+        n_noted = len(record.notes)
+        yield "ground", f"ground cut, notes on {n_noted} of {n_pairs} pairs; {pair_id}: {note}"
     if n_places < LEAST_PAIRS:
-        found.append(("pairs", f"{counted}: a verdict on the world {NEEDED}"))
+        yield "pairs", f"{counted}: a verdict on the world {NEEDED}"
     elif n_places < pairs.scored:
-        found.append(("independence", f"{counted}, which count once each"))
+        yield "independence", f"{counted}, which count once each"
     if overview.n_aligned and overview.n_badly_aligned >= _MANY_BADLY_ALIGNED * overview.n_aligned:
         share = f"{100 * overview.n_badly_aligned / overview.n_aligned:.0f} %"
-        words = (
+        yield (
+            "alignment",
             f"r_lambda of {share} of the matched objects is unreliable "
-            f"(poor alignment: {BAD_ALIGNMENT_WORDS})"
+            f"(poor alignment: {BAD_ALIGNMENT_WORDS})",
         )
-        found.append(("alignment", words))
     if record.preset != "reference":
-        words = (
+        yield (
+            "partition",
             "each scan is segmented separately, so scores vary with the segmentation; "
-            f"to compare simulators: {_by_reference(record)}"
+            f"to compare simulators: {_by_reference(record)}",
         )
-        found.append(("partition", words))
     if not path_exists(recorded_path(record.dataset) / BEST_CASE_RECIPE):
         words = "no best case yet; the scores of a perfect simulator: fidpipe best-case RUN"
-        found.append(("best_case", words))
-    return [Caution(kind=kind, words=words) for kind, words in found]
+        yield "best_case", words
 
 
 def _frame_words(frames: Mapping[str, FrameSuspect], n_pairs: int) -> Iterator[str]:
@@ -228,8 +332,6 @@ def _frame_words(frames: Mapping[str, FrameSuspect], n_pairs: int) -> Iterator[s
 
 def _by_reference(record: RunRecord) -> str:
     """Command that evaluates the dataset of a run with reference objects and its other settings."""
-    command = ["fidpipe", "run", record.dataset, "--preset", "reference"]
-    for setting in record.departures:
-        command += ["--set", setting]
+    command = ["fidpipe", "run", record.dataset, *as_options("reference", record.departures)]
     out = f"runs/{recorded_path(record.dataset).name}-reference"
     return shlex.join([*command, "--out", out])

@@ -140,7 +140,7 @@ def _save(path: Path, content: Any) -> None:
     """Write JSON with the hash of its text in the line before it."""
     text = orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)
     digest = hashlib.sha256(text).hexdigest().encode()
-    write_whole(path, b"%s\n%s\n" % (digest, text), advice="", outlasts_power=False)
+    write_whole(path, b"%s\n%s\n" % (digest, text), outlasts_power=False)
 
 
 def _load(path: Path) -> Any:

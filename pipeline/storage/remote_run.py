@@ -108,7 +108,6 @@ class RemoteRun:
         self._owner = _Owner(host=socket.gethostname(), pid=os.getpid(), token=secrets.token_hex(8))
         self._etag = ""
         self._renewed = 0.0
-        self._pushing = threading.Lock()
 
     @property
     def is_in_use(self) -> bool:
@@ -156,7 +155,7 @@ class RemoteRun:
         RunError
             Another command writes there now.
         """
-        with self._pushing, ThreadPoolExecutor(_REQUESTS_AT_ONCE) as pool:
+        with ThreadPoolExecutor(_REQUESTS_AT_ONCE) as pool:
             known = self._known()
             changed = {
                 name: marks

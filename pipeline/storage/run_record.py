@@ -178,6 +178,14 @@ def has_ended(record: Mapping[str, Any]) -> bool:
     return "wall_s" in record
 
 
+def as_options(preset: str, departures: Iterable[str]) -> list[str]:
+    """A preset and the settings that differ from it, as options of a command."""
+    options = ["--preset", preset]
+    for departure in departures:
+        options += ["--set", departure]
+    return options
+
+
 def command_again(folder: Path, dataset: object) -> str:
     """Command that resumes a run with its settings."""
     path = folder / SETTINGS_TOML

@@ -125,7 +125,7 @@ class JobRecord:
 
 
 def plain_metadata(metadata: dict[str, Any]) -> dict[str, Any]:
-    """Metadata as read back from JSON: lists for tuples and arrays, Python's numbers for NumPy's."""
+    """Metadata as read back from JSON: dictionaries for dataclasses, lists for tuples and arrays, Python's numbers."""
     plain: dict[str, Any] = orjson.loads(orjson.dumps(metadata, option=orjson.OPT_SERIALIZE_NUMPY))
     return plain
 
@@ -264,7 +264,7 @@ class TableFolder:
         return content
 
     def _store(self, path: Path, content: memoryview, sha256: str) -> StoredFile:
-        write_whole(path, content, advice="", outlasts_power=False)
+        write_whole(path, content, outlasts_power=False)
         return StoredFile(len(content), sha256, path.stat().st_mtime_ns)
 
     def damaged(self, name: str, cause: str = "") -> RunError:

@@ -40,20 +40,11 @@ def distribution(values: FloatArray) -> Distribution:
     """
     known = values[~np.isnan(values)]
     mean, std = mean_and_std(known)
-    return Distribution(
-        n=len(known),
-        **quantiles(known),
-        mean=mean,
-        std=std,
-        cv=std / mean if mean and std is not None else None,
-    )
-
-
-def quantiles(values: FloatArray) -> dict[str, float | None]:
-    """Smallest and largest value, quartiles, and the quantiles of 5 and 95 %, by name; None without values."""
-    if not len(values):
-        return dict.fromkeys(_QUANTILES)
-    return {name: float(np.quantile(values, q)) for name, q in _QUANTILES.items()}
+    quantiles = {}
+    for name, share in _QUANTILES.items():
+        quantiles[name] = float(np.quantile(known, share)) if len(known) else None
+    cv = std / mean if mean and std is not None else None
+    return Distribution(n=len(known), **quantiles, mean=mean, std=std, cv=cv)
 
 
 def evenly(n: int, most: int) -> list[int]:

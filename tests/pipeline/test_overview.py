@@ -190,7 +190,7 @@ def test_check_as_json_names_each_scan_and_fault(finished, tmp_path):
     assert set(found["sensors"]["sides"]) == {"real", "sim"}
 
 
-def test_show_gives_csv_that_pandas_reads_and_markdown_tables(by_command):
+def test_show_gives_csv_that_pandas_reads(by_command):
     _, out = by_command
     pairs = pd.read_csv(StringIO(command("show", out, "--csv").stdout))
     assert pairs.cdc_mean.tolist() == pd.read_parquet(out / "pairs.parquet").cdc_mean.tolist()
@@ -202,10 +202,10 @@ def test_show_gives_csv_that_pandas_reads_and_markdown_tables(by_command):
     assert matched.query("side == 'sim'").cdc.tolist() == real.cdc.tolist()
     one = pd.read_csv(StringIO(command("show", out, NUSCENES[0], 0, "--csv").stdout))
     assert one.cdc.tolist() == 2 * [metrics.cdc[0]]
-    markdown = command("show", out, "--markdown").stdout
-    assert markdown.startswith("**streets: 3 pairs, preset paper**")
-    assert "\nsurface: " in markdown
-    assert NUSCENES[0] in command("show", out, NUSCENES[0], "--markdown").stdout
+    text = command("show", out).stdout
+    assert text.startswith("streets: 3 pairs, preset paper")
+    assert "\n  surface " in text
+    assert NUSCENES[0] in command("show", out, NUSCENES[0]).stdout
 
 
 def test_status_answers_in_ten_lines(by_command):

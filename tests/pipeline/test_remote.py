@@ -582,8 +582,8 @@ def test_workers_without_a_shared_disk_finish_a_run_from_and_to_a_bucket(bucket,
             "--out",
             f"{bucket}/runs/apart",
         )
-        refused = command("run", dataset, *words, code=1)
-        assert "/set/real/000.bin" in refused.stderr
+        unseen = command("run", dataset, *words[:-1], f"{bucket}/runs/unseen", code=3)
+        assert "/set/real/000.bin" in unseen.stderr
         ended = command("run", f"{bucket}/set", *words, code=0)
         assert "set: 2 pairs in" in ended.stdout
         assert not list(cache_of(f"{bucket}/runs/apart").glob("graph/*")), (

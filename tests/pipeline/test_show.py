@@ -40,9 +40,9 @@ def test_json_holds_the_numbers_of_the_tables_whatever_the_pair_is_called(report
 
 @pytest.mark.parametrize("name", HOSTILE_PAIRS)
 def test_the_terminal_shows_any_name_as_it_is(report_run, name):
-    assert "Pairs (means over matched objects)" not in shown(report_run)
+    assert "Pairs, worst first (means over matched objects)" not in shown(report_run)
     everything = shown(report_run, "--all")
-    assert "Pairs (means over matched objects)" in everything
+    assert "Pairs, worst first (means over matched objects)" in everything
     assert "Dataset (mean and standard deviation" in everything
     for words in ([report_run, name], [report_run, name, "0"]):
         assert name.replace(" ", "").replace("\u202e", "\\u202e") in "".join(shown(*words).split())
@@ -128,7 +128,7 @@ def test_a_pair_lists_the_ten_largest_objects_of_one_side_and_with_all_every_one
         if isinstance(part, Table) and part.title == "Objects that only one side has"
     ).rows
     assert [row[2] for row in rows] == [f"sim:{i}" for i in range(76, 66, -1)]
-    assert few[-1].text == "67 more extra, with fewer points: fidpipe show RUN PAIR --all"
+    assert few[-1].text == "67 more: fidpipe show RUN PAIR --all"
     assert len(pair_view(values)[-1].rows) == 77
 
 

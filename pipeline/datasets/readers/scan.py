@@ -17,7 +17,7 @@ from ....schemas.errors import ScanError
 from ....stages.arrays import FloatArray, IntArray, slopes_deg
 from .scan_ref import ScanRef
 
-# Names of each column in lower case, ours first. Names of others: CARLA's I, CosAngle, ObjTag, ObjIdx; Ouster's t;
+# Names of each column in lower case, ours first. Names of others: CARLA's I, ObjTag, ObjIdx; Ouster's t;
 # Hesai's timestamp; Livox' offset_time, line and Reflectivity; openpylivox' Inten-sity; Autoware's channel and
 # time_stamp; Argoverse's laser_number and offset_ns; VeloView's Points_m_XYZ:0 and laser_id.
 _NAMES = {
@@ -27,7 +27,6 @@ _NAMES = {
     "intensity": ("intensity", "scalar_intensity", "i", "inten-sity", "reflectivity"),
     "label": ("label", "scalar_label", "objtag"),
     "instance": ("instance", "scalar_instance", "objidx"),
-    "incidence": ("incidence", "scalar_incidence", "cosangle"),
     "ring": ("ring", "scalar_ring", "channel", "laser_number", "laser_id", "line"),
     "time": (
         "time",
@@ -62,7 +61,6 @@ class Scan:
     intensity : (n,) float64, or None
     labels : (n,) str, or None
     instances : (n,) int32, number of the thing that a point belongs to, 0 for none; or None
-    incidence : (n,) float64, cosine of the angle between ray and surface normal, or None
     rings : (n,) int32, number of the beam, or None; -1 where it is NaN
     times_s : (n,) float64, seconds, from where the file counts them; or None
     label_names : what the format calls the labels that are numbers; {} where it names none
@@ -73,14 +71,13 @@ class Scan:
     intensity: FloatArray | None = None
     labels: NDArray[np.str_] | None = None
     instances: IntArray | None = None
-    incidence: FloatArray | None = None
     rings: IntArray | None = None
     times_s: FloatArray | None = None
     label_names: Mapping[int, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
-        optional = ("intensity", "labels", "instances", "incidence", "rings", "times_s")
+        optional = ("intensity", "labels", "instances", "rings", "times_s")
         others = "".join(f", {name}" for name in optional if getattr(self, name) is not None)
         return f"<scan of {len(self.points)} points{others}>"
 
@@ -137,7 +134,6 @@ def scan_from_columns(
         intensity=numbers.get("intensity"),
         labels=_label_text(path, by_name["label"]) if "label" in by_name else None,
         instances=_instance_numbers(numbers.get("instance")),
-        incidence=numbers.get("incidence"),
         rings=rings,
         times_s=times_s,
         label_names=label_names or {},

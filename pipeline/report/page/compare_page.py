@@ -14,12 +14,9 @@ from ....schemas.columns import Row
 from ....stages.arrays import FloatArray
 from ....stages.statistics.findings import evenly
 from ....stages.surface import signed_distances
-from ...results.causes import read_causes
 from ...results.compare import Comparison
 from ...results.finished import FinishedRun
 from ...results.followed import worst_changes
-from ...terminal import STEERING
-from ..look import PAGE_COLOURS, SIGNED_RAMP_M
 from ..run_frames import box_around, coordinates, inside
 from ..view import percent
 from ..views.compare_view import answer, decision, numbers_view, place_words
@@ -65,14 +62,7 @@ def compare_page(comparisons: Sequence[Comparison], start: Path = Path()) -> str
                 "reports": [_report_link(run.folder, start) for run in runs],
             }
         )
-    data = {
-        "charts": {},
-        "steering": STEERING,
-        "colours": PAGE_COLOURS,
-        "signed_ramp_m": SIGNED_RAMP_M,
-        "places": drawn,
-    }
-    return render("compare.html", data, sections=sections, method=_METHOD)
+    return render("compare.html", {"places": drawn}, sections=sections, method=_METHOD)
 
 
 def _places(comparison: Comparison, runs: Sequence[FinishedRun]) -> dict[str, dict[str, Any]]:
@@ -80,10 +70,7 @@ def _places(comparison: Comparison, runs: Sequence[FinishedRun]) -> dict[str, di
     places = {}
     causes = [cause for cause in comparison.changes.causes if cause.kind == "sensor"]
     if causes:
-        before, after = [read_causes(run.store, comparison.pairs) for run in runs]
-        name = causes[0].name
-        changed = np.nan_to_num(np.abs(after[name].amount - before[name].amount))
-        pair_id = comparison.pairs[int(np.argmax(changed))]
+        pair_id = comparison.pairs[0]
         words = f"{causes[0].words}: around the sensor, pair {pair_id}"
         places[words] = _draw_place(pair_id, np.full(3, -_NEAR_M), np.full(3, _NEAR_M), runs)
     for row in worst_changes(comparison.objects):

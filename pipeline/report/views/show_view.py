@@ -14,10 +14,9 @@ from ....schemas.metric_catalogue import (
     reach_words,
     scores_in,
 )
-from ....stages.coverage import surface_state
 from ...results.best_case import RunExcess
 from ...results.finished import FinishedRun, pair_object, pair_values, run_values
-from ...results.object_frame import ALL_COLUMNS, UNKNOWN
+from ...results.object_frame import UNKNOWN
 from ...results.overview import alignment_is_bad
 from ...storage.urls import url_or_path
 from ..look import FATE_WORDS
@@ -25,8 +24,6 @@ from ..view import Note, Part, Table, View, columns_of, number, percent, warning
 from .run_view import summary_view
 
 _NEAR = "covered_0p3m"
-#: Columns of the table of objects that identify one.
-_KEYS = ("pair_id", "side", "community_id", "fate", "partner", "n_points")
 _COVERED = tuple(f"covered_{reach}" for reach in COVERAGE_REACHES)
 #: An object of which less surface is covered on a side is not called faithful.
 _LEAST_COVERED = 0.6
@@ -37,16 +34,11 @@ _OBJECT_COLUMNS = (
     *("n_points", "range_m", "cx", "cy", "cz", "extent_x", "extent_y", "extent_z"),
     *("linearity", "planarity", "scattering", "label", *_COVERED, "median_distance_m"),
 )
-#: Headings of the shares of rays.
-_OUTCOMES = {
-    "rays_same": "same",
-    "rays_in_front": "in front",
-    "rays_behind": "behind",
-    "rays_dropped": "dropped",
-    "rays_no_surface": "no\nsurface",
-    "rays_sim_only": "sim\nonly",
-}
-_RAY_GROUPS = ("all", "range", "incidence", "class")
+#: Outcomes of rays as shares, and the mean error of range.
+_RAYS = (
+    *("rays_same", "rays_in_front", "rays_behind", "rays_dropped", "rays_no_surface"),
+    *("rays_sim_only", "rays_bias_m"),
+)
 
 
 def show_view(
@@ -84,17 +76,15 @@ def show_json(
     return pair_values(run, pair) if name is None else pair_object(run, pair, name)
 
 
-def show_records(run: FinishedRun, pair: str | None, name: str | None) -> Table:
-    """A table for programs: one row per pair of a run, or per object and side of a pair."""
+def show_rows(run: FinishedRun, pair: str | None, name: str | None) -> list[Row]:
+    """Rows for programs: one per pair of a run, or per object and side of a pair."""
     if pair is None:
-        columns = list(run.rows[0])
-        return Table("", columns, columns_of(run.rows, columns))
+        return run.rows
     objects = pair_values(run, pair)["objects"] if name is None else [pair_object(run, pair, name)]
-    columns = [*_KEYS, *ALL_COLUMNS]
-    rows = []
+    rows: list[Row] = []
     for of_sides in objects:
-        rows += columns_of(filter(None, of_sides.values()), columns)
-    return Table("", columns, rows)
+        rows += filter(None, of_sides.values())
+    return rows
 
 
 def pair_view(values: Mapping[str, Any], command: str = "") -> View:
@@ -142,24 +132,17 @@ def _sides_table(row: Row) -> Table:
 
 
 def _rays(reason: str | None, of_groups: Sequence[Row]) -> Part:
-    """Outcomes of the rays and errors of range by range, incidence and class; or why not."""
+    """Outcomes of the rays and error of range, of all and by range; or why there are none."""
     if reason:
         return Note(f"no rays: {reason}", "yellow")
-    scores = (*_OUTCOMES, "rays_bias_m", "rays_rmse_m")
     rows = []
-    for group in _RAY_GROUPS:
-        for row in [row for row in of_groups if row["by"] == group]:
-            band = row["band"] if group == "class" else _short(row["band"])
-            rows.append((band or "all", row["n_rays"], *(row[score] for score in scores)))
-    headings = ("rays", "number", *_OUTCOMES.values(), "bias", "RMSE")
-    title = "Rays (share of those with a return on either side), and simulated minus real range (m)"
-    return Table(title, headings, rows, digits=dict.fromkeys(range(2, 10), 2))
-
-
-def _short(band: str) -> str:
-    """`10-20m` for `10 to 20 m`: a column that does not wrap."""
-    short = band.replace(" to ", "-").replace("over ", ">")
-    return short.replace(" degrees", "°").replace(" m", "m")
+    for row in of_groups:
+        if row["by"] in ("all", "range"):
+            rows.append((row["band"] or "all", row["n_rays"], *(row[name] for name in _RAYS)))
+    title = "Rays (share of those with a return on either side), and simulated minus real range"
+    digits = dict.fromkeys(range(2, 9), 2)
+    headings = ("rays", "number", *narrow_labels(_RAYS))
+    return Table(title, headings, rows, digits=digits, whole=(0,))
 
 
 def _matched_table(matched: Sequence[Row]) -> Table:
@@ -183,29 +166,18 @@ def _matched_table(matched: Sequence[Row]) -> Table:
 
 def _unmatched(objects: Sequence[Row], command: str) -> View:
     """The unmatched objects, real ones first; only the largest if a command shows the others."""
+    unmatched = [row for row in objects if row["fate"] != "matched"]
+    unmatched.sort(key=lambda row: (row["fate"] == "extra", -row["n_points"]))
     rows = []
-    left_out = []
-    for fate in ("not_found", "extra"):
-        of_fate = [row for row in objects if row["fate"] == fate]
-        of_fate.sort(key=lambda row: -row["n_points"])
-        n_shown = _MOST_UNMATCHED if command else len(of_fate)
-        for row in of_fate[:n_shown]:
-            name = f"{row['side']}:{row['community_id']}"
-            place = (row["range_m"], row["n_points"], row["cz"], row[_NEAR])
-            state = surface_state(row[_NEAR])
-            rows.append((row["label"], FATE_WORDS[fate], name, *place, state))
-        if len(of_fate) > n_shown:
-            left_out.append(f"{len(of_fate) - n_shown} more {FATE_WORDS[fate]}")
-    headings = (
-        *("class", "status", "object", "range\n(m)", "points", "centroid\nz (m)"),
-        *("within\n0.3 m", "surface"),
-    )
+    for row in unmatched[: _MOST_UNMATCHED if command else None]:
+        name = f"{row['side']}:{row['community_id']}"
+        place = (row["range_m"], row["n_points"], row["cz"], row[_NEAR])
+        rows.append((row["label"], FATE_WORDS[row["fate"]], name, *place))
+    headings = ("class", "status", "object", "range\n(m)", "points", "z (m)", "within\n0.3 m")
     title = "Objects that only one side has"
-    digits = {3: 1, 5: 1}
-    parts: list[Part] = [Table(title, headings, rows, (0, 1, 7), digits=digits, whole=(0,))]
-    if left_out:
-        parts.append(Note(f"{' and '.join(left_out)}, with fewer points: {command}"))
-    return parts
+    table = Table(title, headings, rows, (0, 1), digits={3: 1, 5: 1}, whole=(0,))
+    n_more = len(unmatched) - len(rows)
+    return [table, Note(f"{n_more} more: {command}")] if n_more else [table]
 
 
 def object_view(rows: Mapping[str, Row | None]) -> View:
