@@ -27,12 +27,12 @@ def transform_of(numbers: Sequence[float] | None) -> FloatArray | None:
     return np.array(numbers, dtype=float).reshape(3, 4) if numbers else None
 
 
-def sums_by_id(values: FloatArray, ids: NDArray[np.integer[Any]], n_ids: int) -> FloatArray:
+def sums_by_id(values: NDArray[Any], ids: NDArray[np.integer[Any]], n_ids: int) -> FloatArray:
     """Sum of each column over the rows of each id, (n_ids, columns).
 
     Parameters
     ----------
-    values : (n, columns) float64
+    values : (n, columns) float64 or bool
     ids : (n,) from 0
     """
     return np.column_stack([np.bincount(ids, column, n_ids) for column in values.T])

@@ -275,11 +275,11 @@ def _unmatched(measure: str, obstacles: Obstacles, range_m: float) -> list[Gap]:
     obstacles are the simulated ones.
     """
     is_near = obstacles.range_m <= range_m
-    size_of = np.digitize(obstacles.size_m[:, :2].max(axis=1), [*SIZES_M.values()]) - 1
-    distance_of = np.digitize(obstacles.range_m, [*DISTANCES_M.values()]) - 1
+    longer_m = obstacles.size_m[:, :2].max(axis=1)
     groups = {ALL: is_near}
-    groups |= {name: is_near & (size_of == i) for i, name in enumerate(SIZES_M)}
-    groups |= {name: is_near & (distance_of == i) for i, name in enumerate(DISTANCES_M)}
+    for limits_m, values_m in ((SIZES_M, longer_m), (DISTANCES_M, obstacles.range_m)):
+        group_of = np.digitize(values_m, [*limits_m.values()]) - 1
+        groups |= {name: is_near & (group_of == i) for i, name in enumerate(limits_m)}
     gaps = []
     for group, chosen in groups.items():
         is_lost = obstacles.partner[chosen] < 0
