@@ -6,6 +6,7 @@ and `--set` assignments over the defaults and names the invalid field.
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -60,10 +61,8 @@ def _split_words(value: Any) -> Any:
 
 
 def _check_columns(value: tuple[str, ...]) -> tuple[str, ...]:
-    if not {"x", "y", "z"} <= set(value):
-        raise ValueError("expected x, y and z among the names")
-    if len(set(value)) != len(value):
-        raise ValueError("expected each name once")
+    if not {"x", "y", "z"} <= set(value) or len(set(value)) != len(value):
+        raise ValueError("expected x, y and z among the names, and each name once")
     return value
 
 
@@ -445,10 +444,10 @@ def load(
                 "remove --preset, or that line of the file"
             )
     for word in assignments:
-        name, equals, text = word.partition("=")
-        group, _, setting = name.strip().partition(".")
-        if not equals or not group or not setting or "." in setting:
+        assignment = re.fullmatch(r"\s*(\w+)\.(\w+)\s*=(.*)", word, re.DOTALL)
+        if not assignment:
             raise SettingsError(f"--set {word!r}: expected GROUP.NAME=VALUE, such as graph.k=60")
+        group, setting, text = assignment.groups()
         table = values.setdefault(group, {})
         if not isinstance(table, dict):
             raise SettingsError(f"--set {word!r}: {group} is not a group of settings")
@@ -496,13 +495,11 @@ def _toml_word(value: Any) -> str:
 
 def _first_problem(error: ValidationError) -> str:
     problem = error.errors()[0]
+    name = ".".join(part for part in problem["loc"] if isinstance(part, str))
     if problem["type"] == "extra_forbidden":
-        name = ".".join(map(str, problem["loc"]))
         known = [other for other in _names() if other.count(".") == name.count(".")]
         return f"setting {name}: no such setting; {suggestion(name, known)}"
-    name = ".".join(part for part in problem["loc"] if isinstance(part, str))
-    where = f"setting {name}" if name else "settings"
-    text = f"{where}: {expected_and_got(problem)}"
+    text = f"setting {name}: {expected_and_got(problem)}"
     if problem["type"] == "value_error":
         return text
     return f"{text}; fidpipe settings lists the allowed values"
