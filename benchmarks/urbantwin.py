@@ -2,7 +2,7 @@
 
     python benchmarks/urbantwin.py ../shared/data/lumpi
 
-Every figure of `docs/urbantwin.md`. Needs `pip install 'fidpipe[icp]'`.
+Every figure of `docs/urbantwin.md`. Needs `pip install small_gicp`.
 """
 
 import os

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .arrays import BoolArray, FloatArray, IntArray
+from .arrays import BoolArray, FloatArray, IntArray, rows_by_id, sums_by_id
 from .linalg.nearest import search_tree
 
 #: A point is covered if the other side has a point within this distance.
@@ -89,12 +89,13 @@ def cover(
     labels = labels[inside]
     n_points = np.bincount(labels, minlength=n_ids).astype(np.int32)
     road = np.full(len(n_points), np.nan)
+    is_near = distance_m[:, None] <= np.array(COVERAGE_DISTANCES_M)
     with np.errstate(invalid="ignore"):
         if is_road is not None:
             road = np.bincount(labels, is_road[inside], len(n_points)) / n_points
-        within = [distance_m <= reach_m for reach_m in COVERAGE_DISTANCES_M]
-        shares = [np.bincount(labels, is_near, len(n_points)) / n_points for is_near in within]
-    in_order = distance_m[np.argsort(labels, kind="stable")]
-    by_object = np.split(in_order, np.cumsum(n_points)[:-1])
-    median_m = [np.median(values) if len(values) else np.nan for values in by_object]
-    return Coverage(n_points, np.column_stack(shares), np.array(median_m), road)
+        shares = sums_by_id(is_near, labels, len(n_points)) / n_points[:, None]
+    median_m = np.full(len(n_points), np.nan)
+    for i, rows in enumerate(rows_by_id(labels, n_ids)):
+        if len(rows):
+            median_m[i] = np.median(distance_m[rows])
+    return Coverage(n_points, shares, median_m, road)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -87,17 +88,16 @@ def fit_displacement(real: cKDTree, sim: cKDTree, is_ground: BoolArray) -> Displ
     places = planes.mean[is_plane]
     normal = planes.normal[is_plane]
     is_low = is_ground[rows[is_plane]]
-    values = fit = None
-    least = np.inf
+    candidates = []
     for seam_deg in SEAMS_DEG:
-        other = _Fit(places, normal, _derivatives(places, is_low, seam_deg), sim, seam_deg)
-        start = other.steps(np.zeros(len(PARAMETERS)), _COARSE_REACHES_M)
-        misfit = np.inf if start is None else other.misfit(start)
-        if misfit < least:
-            values, fit = start, other
-            least = _CLEARLY * misfit if seam_deg == BEHIND_DEG else misfit
-    if values is None or fit is None:
+        fit = _Fit(places, normal, _derivatives(places, is_low, seam_deg), sim, seam_deg)
+        values = fit.steps(np.zeros(len(PARAMETERS)), _COARSE_REACHES_M)
+        if values is not None:
+            weight = _CLEARLY if seam_deg == BEHIND_DEG else 1.0
+            candidates.append((weight * fit.misfit(values), values, fit))
+    if not candidates:
         return None
+    _, values, fit = min(candidates, key=itemgetter(0))
     values = fit.steps(values, (*_REACHES_M, *[_FINE_REACH_M] * _FINE_STEPS))
     if values is None:
         return None
@@ -121,37 +121,31 @@ class _Fit:
 
     def steps(self, values: FloatArray, reaches_m: Sequence[float]) -> FloatArray | None:
         """Better parameters after a step with each reach; None if too few planes have any points within."""
-        slopes = np.einsum("pkn,nk->np", self.derivatives, self.normal)
+        all_slopes = np.einsum("pkn,nk->np", self.derivatives, self.normal)
         for reach_m in reaches_m:
-            better = self._step(values, slopes, reach_m)
-            if better is None:
+            is_fine = reach_m == _FINE_REACH_M
+            n_near = _NEIGHBOURS if is_fine else 1
+            distance, near = self.sim.query(
+                self.places + _displaced_by(values, self.derivatives),
+                k=range(1, 1 + n_near),
+                distance_upper_bound=reach_m,
+            )
+            met = np.flatnonzero(np.isfinite(distance[:, 0]))
+            if len(met) < 10 * len(PARAMETERS):
                 return None
-            values = better
+            is_near = np.isfinite(distance[met])[..., None]
+            near = np.where(is_near[..., 0], near[met], 0)
+            points = (self.sim.data[near] * is_near).sum(axis=1) / is_near.sum(axis=1)
+            off_m = ((points - self.places[met]) * self.normal[met]).sum(axis=1)
+            slopes = all_slopes[met]
+            weighted = slopes / (_NOISE_M**2 * _CORRELATED)
+            if is_fine:
+                weighted *= _biweight(off_m - slopes @ values)[:, None]
+            information = weighted.T @ slopes + np.diag(_PRIOR**-2.0)
+            if np.linalg.inv(information)[_ROAD, _ROAD] > _UNKNOWN * _PRIOR[_ROAD] ** 2:
+                information[_ROAD, _ROAD] += _FIXED
+            values = np.linalg.solve(information, weighted.T @ off_m)
         return values
-
-    def _step(self, values: FloatArray, slopes: FloatArray, reach_m: float) -> FloatArray | None:
-        is_fine = reach_m == _FINE_REACH_M
-        n_near = _NEIGHBOURS if is_fine else 1
-        distance, near = self.sim.query(
-            self.places + _displaced_by(values, self.derivatives),
-            k=range(1, 1 + n_near),
-            distance_upper_bound=reach_m,
-        )
-        met = np.flatnonzero(np.isfinite(distance[:, 0]))
-        if len(met) < 10 * len(PARAMETERS):
-            return None
-        is_near = np.isfinite(distance[met])
-        total = (self.sim.data[np.where(is_near, near[met], 0)] * is_near[..., None]).sum(axis=1)
-        points = total / is_near.sum(axis=1)[:, None]
-        gap = ((points - self.places[met]) * self.normal[met]).sum(axis=1)
-        weighted = slopes[met] / (_NOISE_M**2 * _CORRELATED)
-        if is_fine:
-            weighted *= _biweight(gap - slopes[met] @ values)[:, None]
-        information = weighted.T @ slopes[met] + np.diag(_PRIOR**-2.0)
-        if np.linalg.inv(information)[_ROAD, _ROAD] > _UNKNOWN * _PRIOR[_ROAD] ** 2:
-            information[_ROAD, _ROAD] += _FIXED
-        better: FloatArray = np.linalg.solve(information, weighted.T @ gap)
-        return better
 
     def misfit(self, values: FloatArray) -> float:
         """Mean distance of the simulated points from the displaced planes, each counted up to half a metre."""

@@ -13,8 +13,9 @@ import numpy as np
 import scipy
 from numpy.lib.stride_tricks import sliding_window_view
 
-from .arrays import BoolArray, FloatArray, IndexArray
+from .arrays import BoolArray, FloatArray, azimuths_deg, level_m, slopes_deg
 from .beam_patterns import BeamPattern, find_beams
+from .sweep import Sweep
 from .thinning import shares_voxel
 
 MISSES, RETURNS = "misses", "single_returns"
@@ -133,23 +134,17 @@ def misses_text(groups: list[Misses]) -> str:
     return f"{places}: rays without a return? They are left out; set input.max_range_m={limit_m:g} to confirm"
 
 
-def later_returns(beam: IndexArray, azimuth_deg: FloatArray, range_m: FloatArray) -> BoolArray:
-    """(n,) True for returns that follow another one of the same beam and direction, beyond 1 m.
-
-    Parameters
-    ----------
-    beam, azimuth_deg, range_m : (n,) of returns sorted by beam, azimuth
-    """
-    is_far = np.minimum(range_m[1:], range_m[:-1]) > _NEAREST_M
-    is_same = is_far & (np.diff(beam) == 0) & (np.diff(azimuth_deg) < _SAME_DEG)
-    return np.concatenate([[False], is_same])
+def later_returns(sweep: Sweep) -> BoolArray:
+    """(n,) True for returns that follow another one of the same beam and direction, beyond 1 m."""
+    is_same = (sweep.nearer_m > _NEAREST_M) & (sweep.gap_deg < _SAME_DEG)
+    return np.append(False, is_same)
 
 
 def returns_text(is_later: BoolArray) -> str | None:
     """The doubt that rays have several returns; None if few have."""
     ray = np.cumsum(~is_later)
-    n_returns = np.bincount(ray)[ray]
-    share = float((is_later & (n_returns <= _MOST_RETURNS)).mean())
+    is_group = np.bincount(ray)[ray] <= _MOST_RETURNS
+    share = float((is_later & is_group).mean())
     if share < _SAME_SHARE:
         return None
     return (
@@ -158,7 +153,7 @@ def returns_text(is_later: BoolArray) -> str | None:
     )
 
 
-def _rounding_m(points: FloatArray) -> float:
+def rounding_of(points: FloatArray) -> float:
     """Step to which x and y are rounded, of the coarser of both; 0 if one is not.
 
     Then the differences of neighbouring values are multiples of the least ones. A constant may be added, as after
@@ -181,9 +176,8 @@ def _rounding_m(points: FloatArray) -> float:
     return max(steps_m)
 
 
-def doubts_of_rounding(points: FloatArray) -> dict[str, str]:
-    """The doubt that coordinates are rounded, by what cannot be trusted."""
-    step_m = _rounding_m(points)
+def doubts_of_rounding(step_m: float) -> dict[str, str]:
+    """The doubt that coordinates are rounded to a step, by what cannot be trusted."""
     text = f"coordinates are rounded to {100 * step_m:.3g} cm; export them with more digits"
     if step_m < _ROUNDED_M:
         return {}
@@ -202,20 +196,16 @@ def doubts_without_beams(points: FloatArray) -> dict[str, str]:
     return {}
 
 
-def alternation_text(beam: IndexArray, range_m: FloatArray) -> str | None:
+def alternation_text(sweep: Sweep) -> str | None:
     """The doubt that every second return of the beams is of another scan; None if it is not.
 
     Third differences of the ranges of neighbours are then larger than those of every second return.
-
-    Parameters
-    ----------
-    beam, range_m : (n,) of returns sorted by beam, azimuth
     """
-    if len(beam) < _FEWEST_GAPS:
+    if len(sweep.beam) < _FEWEST_GAPS:
         return None
-    runs_m = sliding_window_view(range_m, 7)
+    runs_m = sliding_window_view(sweep.range_m, 7)
     is_surface = np.ptp(runs_m, axis=1) < _SURFACE_PART * runs_m[:, 3]
-    runs_m = runs_m[is_surface & (beam[6:] == beam[:-6])]
+    runs_m = runs_m[is_surface & (sweep.beam[6:] == sweep.beam[:-6])]
     if len(runs_m) < _FEWEST_GAPS:
         return None
     weights = np.array([1.0, -3.0, 3.0, -1.0])
@@ -236,38 +226,36 @@ def cropped_box(points: FloatArray, other: FloatArray) -> tuple[float, ...] | No
     ----------
     points, other : (n, 3), (m, 3) float64, metres, both in one frame
     """
-    reach_m = float(np.hypot(points[:, 0], points[:, 1]).max())
-    other = other[np.hypot(other[:, 0], other[:, 1]) < reach_m]
+    reach_m = level_m(points).max()
+    other = other[level_m(other) < reach_m]
     corners = []
     n_sharp = 0
     for sign in (-1.0, 1.0):
         for axis in (0, 1):
-            edge_m = (sign * points[:, axis]).max()
+            places_m = sign * points[:, axis]
+            edge_m = places_m.max()
             corners.append(float(sign * edge_m))
             beyond_m = sign * other[:, axis] - edge_m
-            n_before = int((np.abs(beyond_m + 1.0) < 1.0).sum())
-            n_beyond = int((np.abs(beyond_m - 1.0) < 1.0).sum())
-            n_own = int((sign * points[:, axis] > edge_m - 2.0).sum())
+            n_before = (np.abs(beyond_m + 1.0) < 1.0).sum()
+            n_beyond = (np.abs(beyond_m - 1.0) < 1.0).sum()
+            n_own = (places_m > edge_m - 2.0).sum()
             goes_on = n_beyond > _BEYOND_EDGE * n_before and edge_m < _INSIDE * reach_m
             n_sharp += goes_on and 2 * n_own > n_before >= _FEWEST_AT_EDGE
     return tuple(corners) if n_sharp > 1 else None
 
 
-def sweeps_text(gap_deg: FloatArray) -> str | None:
+def sweeps_text(sweep: Sweep) -> str | None:
     """The doubt that a scan holds several sweeps or scans of several sensors; None if it does not.
 
     The azimuths of n sweeps have n phases: the gaps of a beam differ, and repeat after n of them. After one sweep with
     noisy azimuths or many losses few groups of gaps repeat.
-
-    Parameters
-    ----------
-    gap_deg : (n - 1,) azimuth from each return to the next of its beam, NaN without one
     """
+    gap_deg = sweep.gap_deg
     two_deg = gap_deg[:-1] + gap_deg[1:]
     two_deg = two_deg[(two_deg > _SAME_DEG) & (two_deg < _MOST_DEG)]
     if len(two_deg) < _FEWEST_GAPS:
         return None
-    two_steps_deg = (np.bincount((two_deg / _BIN_DEG).astype(np.intp)).argmax() + 0.5) * _BIN_DEG
+    two_steps_deg = (np.bincount((two_deg / _BIN_DEG).astype(int)).argmax() + 0.5) * _BIN_DEG
     for n_sweeps in range(2, _MOST_SWEEPS + 1):
         share, unevenness, likeness = _repetition(gap_deg, n_sweeps, n_sweeps * two_steps_deg)
         if unevenness >= _UNEVEN and likeness >= _ALIKE and share * unevenness >= _REPEATED:
@@ -311,23 +299,19 @@ def _are_multiples(values: FloatArray, unit: float) -> bool:
     return bool(np.abs(exact - numbers).max() < _OFF_ROW)
 
 
-def thinned_text(gap_deg: FloatArray, range_m: FloatArray, points: FloatArray) -> str | None:
+def thinned_text(sweep: Sweep, points: FloatArray) -> str | None:
     """The doubt that a scan was thinned by a grid: steps of its beams are wider near the sensor; None if they are not.
 
     With too few returns near or far, see `_grid_text`.
 
     Parameters
     ----------
-    gap_deg : (n - 1,) azimuth from each return to the next of its beam, NaN without one
-    range_m : (n,)
     points : (m, 3) all points, metres
     """
-    nearer_m = np.minimum(range_m[1:], range_m[:-1])
-    is_surface = (
-        (np.abs(np.diff(range_m)) < _SAME_DEPTH * nearer_m)
-        & (gap_deg > _SAME_DEG)
-        & (gap_deg < _MOST_DEG)
-    )
+    gap_deg = sweep.gap_deg
+    nearer_m = sweep.nearer_m
+    is_gap = (gap_deg > _SAME_DEG) & (gap_deg < _MOST_DEG)
+    is_surface = is_gap & (sweep.apart_m < _SAME_DEPTH * nearer_m)
     near_deg = gap_deg[is_surface & (nearer_m > _NEAREST_GRID_M) & (nearer_m < _NEAR_GRID_M)]
     far_deg = gap_deg[is_surface & (nearer_m > _FAR_GRID_M)]
     if min(len(near_deg), len(far_deg)) < _FEWEST_OF_GRID:
@@ -388,16 +372,15 @@ def _is_several_sweeps(points: FloatArray) -> bool:
     ----------
     points : (n, 3) float64, in the order of the file
     """
-    azimuth_deg = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
-    slope_deg = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
-    cell = (slope_deg + 90.0) // _CELL_DEG * 361 + (azimuth_deg + 180.0) // _CELL_DEG
+    row = (slopes_deg(points) + 90.0) // _CELL_DEG
+    cell = row * 361 + (azimuths_deg(points) + 180.0) // _CELL_DEG
     for n_sweeps in (2, 3, 5, 10):
         n_rows = len(points) // n_sweeps
         first = np.unique(cell[:n_rows])
         last = np.unique(cell[-n_rows:])
         if len(np.intersect1d(first, last)) > _SAME_CELLS * max(len(first), len(last)):
-            patterns = [find_beams(part) for part in (points[:n_rows], points[-n_rows:])]
-            if any(isinstance(pattern, BeamPattern) for pattern in patterns):
+            parts = (points[:n_rows], points[-n_rows:])
+            if any(isinstance(find_beams(part), BeamPattern) for part in parts):
                 return True
     return False
 

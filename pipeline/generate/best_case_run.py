@@ -95,7 +95,7 @@ def run_best_case(
         (out / LEDGER).mkdir(exist_ok=True)  # from now on it is the folder of a run
         _write_dataset(out / BEST_CASE_DATASET, recipe, source, selected, settings.input, reporter)
     same_on_both_sides = settings.input.model_copy(
-        update={"sim_flip_y": False, "sim_frame": settings.input.real_frame, "sim_columns": None}
+        update={"sim_frame": settings.input.real_frame, "sim_columns": None}
     )
     return run_dataset(
         out / BEST_CASE_DATASET,

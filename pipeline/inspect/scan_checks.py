@@ -21,8 +21,8 @@ from ...stages.frame_search import FrameCheck, check_frames
 from ...stages.ground import MIN_OBJECT_POINTS
 from ...stages.plausibility import ScanInspection, inspect_points
 from ...stages.sensor_description import SensorDescription
-from ...stages.statistics.comparison import blocks_of
 from ...stages.statistics.bands import evenly
+from ...stages.statistics.comparison import blocks_of
 from ..datasets.content import scan_content
 from ..datasets.pairing import require_partners
 from ..datasets.pairs import ScanPair, may_crash, read_dataset
@@ -236,7 +236,7 @@ def _check_scan(
     n_clean = len(clean.points)
     fault = None
     if n_clean < MIN_OBJECT_POINTS:
-        fault = f"{ref}: {too_few_left(n_clean, MIN_OBJECT_POINTS, clean.dropped, inputs)}"
+        fault = f"{ref}: {too_few_left(n_clean, MIN_OBJECT_POINTS, clean.dropped)}"
     check = ScanCheck(
         sha256=content.sha256,
         n_raw=len(scan.points),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...schemas.columns import Row
-from ...schemas.metric_catalogue import BASELINES
+from ...schemas.metric_catalogue import METRIC, scores_of
 from ...schemas.record import OF_OBJECTS, OF_SCAN
 from ...schemas.settings import Settings
 from ...stages.summary import mean_and_std
@@ -66,16 +66,16 @@ def summarise_baselines(records: Iterable[JobRecord], settings: Settings) -> dic
         for mean in record.metadata["means"]:
             groups.setdefault((mean["level"], mean["baseline"]), []).append(mean)
     summary = []
-    for level, metric in product((OF_OBJECTS, OF_SCAN), BASELINES):
-        pairs = groups.get((level, metric.column))
+    for level, name in product((OF_OBJECTS, OF_SCAN), scores_of("baseline")):
+        pairs = groups.get((level, name))
         if not pairs:
             continue
         mean, std = mean_and_std(np.array([pair["mean"] for pair in pairs], dtype=np.float64))
         summary.append(
             {
-                "baseline": metric.column,
+                "baseline": name,
                 "level": level,
-                "unit": metric.unit,
+                "unit": METRIC[name].unit,
                 "mean": mean,
                 "std": std,
                 "n": sum(pair["n"] for pair in pairs),
@@ -113,7 +113,7 @@ STAGE = Stage(
     grain=Grain.PAIR,
     version=4,
     make=make_baselines,
-    libraries=("POT", "small_gicp"),
+    libraries=("POT",),
     is_wanted=lambda settings: bool(settings.metrics.baselines),
     summarise=summarise_baselines,
 )

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from ...schemas.columns import SIDES, Row
-from ...schemas.metric_catalogue import INTENSITY_SCORES, RAY_SCORES
+from ...schemas.metric_catalogue import scores_of
 from ...stages.arrays import BoolArray, transform_of
 from ...stages.clean import seen_from
 from ...stages.intensity import score_intensity
@@ -29,7 +29,7 @@ from .points_job import column, coordinates, sensor_of
 def make_rays(inputs: Inputs) -> JobResult:
     """Pair the rays of both sides and score them; empty tables and a reason if that is not possible."""
     ground = [inputs.table("ground", side) for side in SIDES]
-    of_pair: Metadata = {metric.column: None for metric in (*RAY_SCORES, *INTENSITY_SCORES)}
+    of_pair: Metadata = dict.fromkeys(scores_of("ray", "intensity"))
     of_pair |= {"rays_reason": None, "intensity_note": None}
     with inputs.step("rays"):
         rays = _rays(inputs, ground)

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from ...schemas.errors import RunError
-from ...schemas.metric_catalogue import SEEDED_SCORES, TASK_SCORES
+from ...schemas.metric_catalogue import SEEDED_SCORES, scores_of
 from ...schemas.results import JsonObject
 from ...stages.arrays import IntArray
 from ...stages.statistics.comparison import LEAST_FLIPPED, LEAST_PAIRS
@@ -37,7 +37,7 @@ from .sectors import N_SECTORS, sector_frame
 
 #: Largest number of runs in one command.
 MOST_RUNS = 8
-_TASKS = [metric.column for metric in TASK_SCORES]
+_TASKS = [*scores_of("task")]
 
 
 @dataclass

@@ -338,7 +338,7 @@ def _frame(table: pa.Table) -> pd.DataFrame:
 #: Why a pair of two runs is not one.
 OTHER_SCAN = "the real scans differ"
 #: How the files of the simulated side are read: runs that differ in these alone can be compared.
-_OF_SIM_FILES = ("sim_columns", "sim_flip_y", "sim_frame")
+_OF_SIM_FILES = ("sim_columns", "sim_frame")
 
 
 def settings_changes(base: FinishedRun, other: FinishedRun) -> list[str]:

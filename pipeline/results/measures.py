@@ -20,14 +20,11 @@ from ...schemas.errors import (
     suggestion,
 )
 from ...schemas.metric_catalogue import (
-    COVERAGE_SCORES,
     DISTRIBUTED,
     METRIC,
     OBJECT_METRICS,
-    PIECE_SCORES,
     RAY_MEANS,
-    SURFACE_SCORES,
-    TASK_SCORES,
+    scores_of,
 )
 from ...schemas.results import Unknown
 from ..datasets.content import input_hashes
@@ -48,14 +45,11 @@ STATES = ("scored", "failed", "to_do", "changed", "frame_suspect")
 #: Columns of `pairs` by the name of their score.
 PAIR_SCORES = {
     **{name: METRIC[name].pair_column for name in ("match_rate", *OBJECT_METRICS)},
-    **{metric.column: metric.column for metric in (*SURFACE_SCORES, *PIECE_SCORES)},
+    **{name: name for name in scores_of("surface", "piece")},
 }
 #: And by names with dots: `covered.real.0.3m` is `covered_real_0p3m`, `rays.bias_m` is `rays_bias_m`.
 DOTTED = {
-    **{
-        metric.column.replace("_", ".").replace("p", "."): metric.column
-        for metric in COVERAGE_SCORES
-    },
+    **{name.replace("_", ".").replace("p", "."): name for name in scores_of("coverage")},
     **{column.replace("rays_", "rays."): column for column in RAY_MEANS},
 }
 #: Estimated properties of both sensors: `sensor.sim.range_noise_m` is the column `sensor_sim_range_noise_m`.
@@ -65,7 +59,7 @@ SENSOR_VALUES = {
     if row["table"] == "pairs" and row["column"].startswith("sensor_")
 }
 #: Gaps of tasks: `tasks.objects.lost` is the mean, `tasks.objects.lost.max` the largest value.
-TASK_GAPS = {f"tasks.{metric.column}": metric.column for metric in TASK_SCORES}
+TASK_GAPS = {f"tasks.{name}": name for name in scores_of("task")}
 #: Measures of odometry: `tasks.odometry.drift_m` is the gap over the longest sequence of scans.
 ODOMETRY_MEASURES = ("drift_m", "step_m", "turn_deg")
 #: Names of causes by that of the catalogue.

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ...schemas.errors import StageError
-from ..arrays import BoolArray, FloatArray, IndexArray, IntArray
+from ..arrays import BoolArray, FloatArray, IndexArray, IntArray, azimuths_deg
 from ..statistics.comparison import mean_interval
 from ..surfels import fit_planes
 
@@ -182,7 +182,7 @@ def _has_both(is_sim: BoolArray) -> bool:
 def _rays(points: FloatArray, rows: IndexArray) -> list[FloatArray]:
     range_m = np.linalg.norm(points, axis=1)
     elevation = np.degrees(np.arcsin(points[:, 2] / range_m))
-    azimuth = np.degrees(np.arctan2(points[:, 1], points[:, 0])) * np.cos(np.radians(elevation))
+    azimuth = azimuths_deg(points) * np.cos(np.radians(elevation))
     places = np.column_stack([azimuth, _ROW_WEIGHT * elevation])
     near = cKDTree(places).query(places[rows], k=5)[1][:, 1:]
     step = np.abs(places[near[:, 0]] - places[rows])

@@ -10,7 +10,7 @@ from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
 from ...schemas.sensor_models import SensorModel
-from ..arrays import FloatArray, IndexArray, sums_by_id
+from ..arrays import FloatArray, IndexArray, azimuths_deg, slopes_deg, sums_by_id
 from ..surfels import fit_planes, voxel_ids
 from .flaws import SCATTERED
 from .ray_casting import cast_rays, measure_ranges
@@ -156,8 +156,8 @@ def recorded_directions(scan: FloatArray, others: FloatArray) -> FloatArray:
 
 def _direction_cells(points: FloatArray) -> tuple[IndexArray, IndexArray]:
     """Column and row of the cell of each direction."""
-    azimuth = np.degrees(np.arctan2(points[:, 1], points[:, 0])) + 180.0
-    elevation = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))) + 90.0
+    azimuth = azimuths_deg(points) + 180.0
+    elevation = slopes_deg(points) + 90.0
     columns = np.floor(azimuth / _AZIMUTH_CELL_DEG).astype(np.intp) % _DIRECTION_CELLS[0]
     return columns, np.floor(elevation / _ELEVATION_CELL_DEG).astype(np.intp)
 

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, level_m
 from ..frame_search import ground_height
 from ..linalg.subgraph import connected_points
 from ..surfels import voxel_ids
@@ -51,7 +51,7 @@ class SequenceScan:
     """
 
     def __init__(self, points: FloatArray) -> None:
-        level = np.hypot(points[:, 0], points[:, 1])
+        level = level_m(points)
         points = points[(level > _NEAREST_M) & (level < _FARTHEST_M)]
         _, first = np.unique(voxel_ids(points, _VOXEL_M), return_index=True)
         thinned = points[np.sort(first)]
@@ -194,7 +194,7 @@ def find_ego_hits(scans: Sequence[FloatArray], ground_m: float) -> EgoHits | Non
         return None
     near = []
     for points in scans:
-        is_around = np.hypot(points[:, 0], points[:, 1]) < _AROUND_M
+        is_around = level_m(points) < _AROUND_M
         near.append(points[is_around & (np.abs(points[:, 2] - ground_m) > _EGO_GROUND_M)])
     trees = [cKDTree(points) for points in near]
     hits = [_staying(points, [*trees[:i], *trees[i + 1 :]]) for i, points in enumerate(near)]
@@ -228,5 +228,5 @@ def _staying(points: FloatArray, others: Sequence[cKDTree]) -> FloatArray:
     )
     component = connected_points(points[first], _LINK_M)[cell]
     reach = np.zeros(component.max() + 1)
-    np.maximum.at(reach, component, np.hypot(points[:, 0], points[:, 1]))
+    np.maximum.at(reach, component, level_m(points))
     return points[reach[component] < _EGO_M]

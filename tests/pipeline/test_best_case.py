@@ -17,7 +17,7 @@ from fidpipe.pipeline.results.best_case import excess_over
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import RunError
-from fidpipe.schemas.metric_catalogue import COVERAGE_SCORES, OBJECT_METRICS
+from fidpipe.schemas.metric_catalogue import OBJECT_METRICS, scores_of
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import Settings, load
 from fidpipe.stages.generate.street_scans import make_pair
@@ -59,7 +59,7 @@ def test_without_noise_and_dropout_it_is_exactly_perfect(folder, tmp_path):
     for row in made.rows:
         assert row["match_rate"] == 1
         assert {row[f"{metric}_mean"] for metric in OBJECT_METRICS} == {0}
-        assert {row[metric.column] for metric in COVERAGE_SCORES} == {1}
+        assert {row[name] for name in scores_of("coverage")} == {1}
 
 
 def test_noise_and_losses_are_those_of_each_scan_and_usual_ones_where_it_shows_none(
@@ -103,7 +103,7 @@ def test_it_is_resumed_and_made_again_only_where_the_real_scan_changed(folder, t
 def test_the_simulated_side_does_not_matter(folder, tmp_path):
     data = write_dataset(tmp_path / "streets", 3)
     (data / "sim" / "000.bin").write_bytes(b"")
-    settings = load(assignments=["input.sim_flip_y=true"])
+    settings = load(assignments=["input.sim_frame=carla"])
     assert not best_case(data, tmp_path / "best_case", settings=settings).failures
     assert_same_tables(tmp_path / "best_case", folder / "best_case")
 

@@ -105,7 +105,7 @@ def test_seconds_are_in_the_timings_one_step_a_baseline(finished):
     timings = pd.read_parquet(finished / "timings.parquet").query("stage == 'baselines'")
     steps = set(timings.step)
     assert set(ALL.metrics.baselines) - {"nvs"} <= steps
-    assert {f"{name}, whole scan" for name in ("chamfer", "dcd", "icp", "nvs")} <= steps
+    assert {f"{name}, whole scan" for name in ("chamfer", "dcd", "nvs")} <= steps
     assert "emd, whole scan" not in steps
 
 
@@ -190,7 +190,6 @@ def test_the_command_takes_the_seeds_as_an_option_and_shows_both(again, dataset)
     assert "How stable the scores are (2 seeds, 2 pairs)" in done.stdout
     for name in (
         "chamfer_squared_m2",
-        "icp_rmse_m",
         "objects",
         "scans",
         "m²",

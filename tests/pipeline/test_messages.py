@@ -26,9 +26,9 @@ from fidpipe.schemas.errors import (
     StoreError,
 )
 from fidpipe.schemas.sensor_models import SENSORS
-from fidpipe.schemas.settings import GroundSettings, Settings, load
+from fidpipe.schemas.settings import Settings, load
 from fidpipe.stages.generate.ray_casting import fire
-from fidpipe.stages.ground import remove_ground
+from fidpipe.stages.ground import remove_road
 from runs import FIDPIPE, command, one_line, read_only, run
 from scenes import street, write_bin, write_dataset, write_pair
 
@@ -71,9 +71,8 @@ SENTENCES = {
         "ftp://: expected a URL of s3, gs, az, http, https, or a local path",
     ),
     StageError: (
-        lambda folder: remove_ground(np.zeros((7, 3)), GroundSettings()),
-        "expected at least 8 points after cleaning, got 7; look at the dropped points in fidpipe check, and at "
-        "input.min_range_m and input.max_range_m",
+        lambda folder: remove_road(np.zeros((1, 3)), Settings(), "real"),
+        "expected at least 8 points after cleaning, got 0 (1 zero); check the export and the input settings",
     ),
     OutOfTimeError: (
         use_up_the_time,

@@ -142,8 +142,8 @@ def test_a_small_rotation_with_a_shift_is_not_named():
 
 
 def test_a_mirror_that_is_set_and_should_not_be_is_named():
-    found = check(scene(), again(scene()), sim_flip_y=True)
-    assert (found.reading, found.setting) == ("mirrored in y", "input.sim_flip_y=false")
+    found = check(scene(), again(scene()), sim_frame="carla")
+    assert (found.reading, found.setting) == ("mirrored in y", "input.sim_frame=ros")
 
 
 def test_a_motion_that_is_set_is_kept_in_the_setting_that_mends():

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ....schemas.data_files import read_data
 from ....schemas.errors import ScanError
-from ....stages.arrays import FloatArray, IntArray
+from ....stages.arrays import FloatArray, IntArray, slopes_deg
 from .scan_ref import ScanRef
 
 # Names of each column in lower case, ours first. Names of others: CARLA's I, ObjTag, ObjIdx; Ouster's t;
@@ -226,7 +226,7 @@ def with_label_names(scan: Scan, names: Mapping[int, str]) -> Scan:
 
 def _are_rings(points: FloatArray, numbers: IntArray) -> bool:
     """True if the points of a number have one elevation; those of Livox' patterns that do not repeat have all."""
-    elevation_deg = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
+    elevation_deg = slopes_deg(points)
     is_return = np.isfinite(elevation_deg) & points.any(axis=1)
     spreads_deg = []
     for number in np.unique(numbers[is_return]):
