@@ -19,7 +19,7 @@ from ...schemas.columns import FARTHEST_M
 from ...schemas.errors import RunError, ScanError
 from ...schemas.settings import InputSettings, Settings
 from ...stages.clean import as_ros, clean_scan
-from ...stages.generate.perturbations import fill_gaps, remeasure
+from ...stages.generate.second_measurement import fill_gaps, remeasure
 from ...stages.sensor_description import NO_GAPS, describe_with_gaps
 from ..datasets.pairs import LABEL_NAMES, MANIFEST, Dataset, ScanPair, read_dataset
 from ..datasets.readers import read_scan

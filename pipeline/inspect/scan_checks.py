@@ -22,6 +22,7 @@ from ...stages.ground import MIN_OBJECT_POINTS
 from ...stages.plausibility import ScanInspection, inspect_points
 from ...stages.sensor_description import SensorDescription
 from ...stages.statistics.comparison import blocks_of
+from ...stages.statistics.findings import evenly
 from ..datasets.content import scan_content
 from ..datasets.pairing import require_partners
 from ..datasets.pairs import ScanPair, may_crash, read_dataset
@@ -36,8 +37,7 @@ from ..pair_checks import pair_warnings, shared_files, swapped_sides
 from ..results.causes import cause_values, named_causes, unknown_causes
 from .side_checks import (
     SampledScan,
-    SensorCheck,
-    check_sensors,
+    describe_sides,
     sample_scan,
     sensor_doubts,
     side_notes,
@@ -98,25 +98,12 @@ class PairCheck:
 
 
 @dataclass(frozen=True)
-class CauseCheck:
-    """Causes of some pairs.
-
-    pair_ids : pairs that were estimated
-    causes : named ones; those that affect most of the surface first
-    unknown : causes that cannot be estimated
-    """
-
-    pair_ids: tuple[str, ...]
-    causes: tuple[Cause, ...]
-    unknown: tuple[Unknown, ...]
-
-
-@dataclass(frozen=True)
 class DatasetCheck:
     """Result of checking a dataset.
 
-    sensors : of the two sides
-    causes : of a few pairs
+    sensors : by side, from a few scans
+    causes : named ones of a few pairs; those that affect most of the surface first
+    unknown : causes that cannot be estimated
     notes : of each side as a whole, one line each, that is nothing wrong
     doubts : one line each: points that would make what a run prescribes wrong
     `faults`, warnings : one line each, with the name of the pair
@@ -124,8 +111,9 @@ class DatasetCheck:
 
     folder: Path
     pairs: list[PairCheck]
-    sensors: SensorCheck
-    causes: CauseCheck
+    sensors: dict[str, SensorDescription]
+    causes: list[Cause]
+    unknown: list[Unknown]
     notes: list[str]
     doubts: list[str]
     faults: list[str]
@@ -146,19 +134,10 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
     require_partners(dataset)
     stretches = stretches_of(dataset.pairs)
     checks = _check_pairs(dataset.pairs, stretches, settings, dataset.label_names)
-    warnings = [*dataset.warnings, *swapped_sides(dataset.pairs, folder)]
-    hashes = {}
-    for check in checks:
-        hashes[check.pair.pair_id] = {side: scan.sha256 for side, scan in check.sides.items()}
-    warnings += shared_files(hashes)
+    warnings = [*dataset.warnings, *swapped_sides(dataset.pairs, folder), *_pair_warnings(checks)]
     faults = []
     for check in checks:
         faults += check.faults
-        inspections = {}
-        for side, scan in check.sides.items():
-            if scan.inspection:
-                inspections[side] = scan.inspection
-        warnings += pair_warnings(check.pair, inspections, check.frames)
     samples = {}
     n_clean = {}
     for side in SIDES:
@@ -168,11 +147,17 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
         n_clean[side] = [check.sides[side].n_clean for check in checks if side in check.sides]
     warnings += sensor_doubts(samples, serious=False)
     warnings += side_warnings(samples, n_clean, stretches, settings.input)
+    estimated = [check for check in checks if check.amounts]
+    values = cause_values([check.amounts for check in estimated])
+    # copies of a real scan count once
+    contents = [check.sides["real"].sha256 for check in estimated]
+    blocks = blocks_of(contents, [check.pair.timestamp_s for check in estimated])
     return DatasetCheck(
         folder=folder,
         pairs=checks,
-        sensors=check_sensors(samples),
-        causes=_check_causes([check for check in checks if check.amounts]),
+        sensors=describe_sides(samples),
+        causes=list(named_causes(values, blocks)),
+        unknown=list(unknown_causes(values)),
         notes=side_notes(samples),
         doubts=[*_frame_doubts(checks), *sensor_doubts(samples, serious=True)],
         faults=faults,
@@ -188,9 +173,7 @@ def _check_pairs(
 ) -> list[PairCheck]:
     """Check each pair: in this process, unless a reader may end it."""
     sampled = [pair for stretch in stretches for pair in stretch]
-    n_estimated = min(len(sampled), MOST_PAIRS)
-    rows = np.linspace(0, len(sampled) - 1, n_estimated).round().astype(int)
-    estimated = [sampled[row] for row in rows]
+    estimated = [sampled[i] for i in evenly(len(sampled), MOST_PAIRS)]
     tasks = {}
     for pair in pairs:
         tasks[pair.pair_id] = (pair, settings, label_names, pair in sampled, pair in estimated)
@@ -284,16 +267,18 @@ def _estimate_causes(
     return amounts, sensors
 
 
-def _check_causes(checks: Sequence[PairCheck]) -> CauseCheck:
-    """The causes that some pairs show; copies of a real scan count once."""
-    contents = [check.sides["real"].sha256 for check in checks]
-    blocks = blocks_of(contents, [check.pair.timestamp_s for check in checks])
-    values = cause_values([check.amounts for check in checks])
-    return CauseCheck(
-        tuple(check.pair.pair_id for check in checks),
-        tuple(named_causes(values, blocks)),
-        tuple(unknown_causes(values)),
-    )
+def _pair_warnings(checks: Sequence[PairCheck]) -> list[str]:
+    """Warnings about pairs that can be evaluated all the same, those about equal files first."""
+    warnings = []
+    hashes = {}
+    for check in checks:
+        hashes[check.pair.pair_id] = {side: scan.sha256 for side, scan in check.sides.items()}
+        inspections = {}
+        for side, scan in check.sides.items():
+            if scan.inspection:
+                inspections[side] = scan.inspection
+        warnings += pair_warnings(check.pair, inspections, check.frames)
+    return [*shared_files(hashes), *warnings]
 
 
 def _frame_doubts(checks: Sequence[PairCheck]) -> list[str]:

@@ -39,18 +39,6 @@ from ..results.overview import doubt_lines
 _STRETCH = 5
 
 
-@dataclass(frozen=True)
-class SensorCheck:
-    """Sensors of both sides.
-
-    pair_ids : pairs whose scans were described
-    sides : by side, the sensor of one of its scans; a side none of whose files can be read is left out
-    """
-
-    pair_ids: tuple[str, ...]
-    sides: dict[str, SensorDescription]
-
-
 def stretches_of(pairs: Sequence[ScanPair]) -> list[list[ScanPair]]:
     """Two times a few neighbouring pairs, in order of time where it is known, else of their names."""
     ordered = list(pairs)
@@ -108,16 +96,17 @@ def sample_scan(
     return SampledScan(sensor, clean, SequenceScan(placed), notes)
 
 
-def check_sensors(samples: Samples) -> SensorCheck:
-    """The sensors of both sides, from the scan with the most points among those whose beams are recognised."""
-    sides = {}
-    pair_ids: set[str] = set()
+def describe_sides(samples: Samples) -> dict[str, SensorDescription]:
+    """The sensor of each side: of its scan with the most points among those whose beams are recognised.
+
+    A side none of whose files can be read is left out.
+    """
+    sensors = {}
     for side, scans in samples.items():
-        sensors = {name: scan.sensor for name, scan in scans.items() if scan.sensor}
-        if sensors:
-            sides[side] = max(sensors.values(), key=_is_telling)
-            pair_ids |= sensors.keys()
-    return SensorCheck(tuple(sorted(pair_ids)), sides)
+        described = [scan.sensor for scan in scans.values() if scan.sensor]
+        if described:
+            sensors[side] = max(described, key=_is_telling)
+    return sensors
 
 
 def _is_telling(sensor: SensorDescription) -> tuple[bool, int]:

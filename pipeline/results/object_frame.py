@@ -16,7 +16,7 @@ from ...schemas.columns import SIDES, Row
 from ...schemas.metric_catalogue import QUADRANT_LIMITS
 from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray
-from ...stages.statistics.findings import BAND_EDGES_M
+from ...stages.statistics.bands import BAND_EDGES_M
 from ..storage.folder import RunFolder
 
 if TYPE_CHECKING:

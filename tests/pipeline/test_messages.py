@@ -443,10 +443,9 @@ def test_check_estimates_the_sensors_of_both_sides_from_the_sampled_pairs(tmp_pa
         is_seen = (name != "c") | (np.round(np.degrees(np.arcsin(beams[:, 2]))) % 4 == 1)
         write_bin(dataset / "real" / f"{name}.bin", rows[np.broadcast_to(is_seen, len(rows))])
     sensors = check_dataset(dataset, Settings()).sensors
-    assert sensors.pair_ids == ("a", "b", "c")
-    assert sensors.sides["real"].model == "Velodyne VLP-16"
-    assert sensors.sides["real"].azimuth_step_deg == pytest.approx(0.5, abs=0.001)
-    assert sensors.sides["sim"].model is None
+    assert sensors["real"].model == "Velodyne VLP-16"
+    assert sensors["real"].azimuth_step_deg == pytest.approx(0.5, abs=0.001)
+    assert sensors["sim"].model is None
 
 
 def test_settings_in_python_may_be_named_as_on_the_command_line(tmp_path):

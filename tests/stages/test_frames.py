@@ -9,7 +9,7 @@ import pytest
 from fidpipe.schemas.settings import FRAME_AXES, InputSettings
 from fidpipe.stages.clean import as_ros
 from fidpipe.stages.frame_search import FrameCheck, check_frames, ground_height
-from fidpipe.stages.generate.perturbations import add_noise, drop_points
+from fidpipe.stages.generate.flaws import add_noise, drop_points
 from fidpipe.stages.inspect.sequence_checks import (
     SequenceScan,
     find_ego_hits,

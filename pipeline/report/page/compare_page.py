@@ -11,7 +11,7 @@ from urllib.parse import quote
 import numpy as np
 
 from ....stages.arrays import FloatArray
-from ....stages.statistics.findings import evenly
+from ....stages.statistics.bands import evenly
 from ....stages.surface import signed_distances
 from ...results.compare import Comparison
 from ...results.finished import FinishedRun

@@ -198,7 +198,7 @@ def _groups_table(findings: Findings) -> Table:
     for group in findings.groups:
         counts = (group.n_real, group.n_not_found, group.n_sim, group.n_extra)
         shares = (percent(group.missing_share), percent(group.invented_share))
-        scores = [group.scores[name].mean for name in QUADRANT_SCORES]
+        scores = [group.scores[name] for name in QUADRANT_SCORES]
         rows.append((group.name, *shares, *counts, *scores))
     title = "By range and class (missing, invented: of the object points, within 0.3 m)"
     headings = (
