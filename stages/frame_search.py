@@ -54,6 +54,8 @@ _GROUND_STEP_M = 0.1
 _DIRECTIONS = (("forward", "back"), ("left", "right"), ("up", "down"))
 #: Points of a sample, by which candidates are chosen that the whole sample compares.
 _FEW_POINTS, _MOST_PROMISING = 300, 8
+#: Returns of a sample, by which sizes are chosen that the whole scan confirms.
+_SOME_RETURNS, _MOST_SIZES = 3000, 2
 _LEAST_SCALE, _MOST_SCALE, _ALIKE = 0.2, 5.0, 0.05
 _FINE_SCALES = np.linspace(0.9, 1.1, 11)
 _LEAST_HEIGHT_M = 0.3
@@ -209,8 +211,10 @@ def check_frames(
     if len(target_points) < _MIN_POINTS:
         return None
     target = _Side(target_points)
+    some_sim = _some_returns(sim)
+    reach_ratio = _reach_m(_some_returns(real)) / max(_reach_m(some_sim), 1e-9)
     sources = {}
-    for unit, scale in _scales(real, sim).items():
+    for unit, scale in _scales(reach_ratio).items():
         points = _thinned(sim * scale, settings, "sim")
         if len(points) >= _MIN_POINTS:
             sources[unit] = _Side(points)
@@ -218,25 +222,27 @@ def check_frames(
         return None
     as_given, scored = _search(target, sources, settings, motion)
     if "" in sources:
-        scored = _scaled(target, sources, (real, sim), settings, motion, as_given, scored)
+        sizes = _sizes(target, sources[""], reach_ratio, scored[0])
+        scored = _scaled(
+            target, sources, (sim, some_sim), sizes, settings, motion, as_given, scored
+        )
     coverage, best = scored
     is_suspect = coverage >= _MIN_COVERAGE and _is_better(as_given, coverage, best.unit)
-    if coverage >= MIN_SAME_PLACE:
-        start = best if is_suspect else _Candidate("", motion)
+    start = best if is_suspect else _Candidate("", motion)
+    source = sources.get(start.unit)
+    if source and coverage >= MIN_SAME_PLACE and (levelled := _levelled(target, source, start)):
         before = coverage if is_suspect else as_given
-        source = sources.get(start.unit)
-        in_metres = source.points if source and start.unit else sim
-        if source and not is_far_from_origin(real) and not is_far_from_origin(in_metres):
-            levelled = _levelled(target, source, start)
-            after = _coverage(target, source, levelled, settings.include_box) if levelled else 0.0
-            if (
-                levelled
-                and after >= max(before - _MAX_COVERAGE_LOST, MIN_SAME_PLACE)
-                and (is_suspect or _is_nearer(real, source, start.M, levelled.M, settings))
-            ):
-                best = levelled
-                coverage = after
-                is_suspect = True
+        after = _coverage(target, source, levelled, settings.include_box)
+        in_metres = source.points if start.unit else sim
+        if (
+            after >= max(before - _MAX_COVERAGE_LOST, MIN_SAME_PLACE)
+            and not is_far_from_origin(real)
+            and not is_far_from_origin(in_metres)
+            and (is_suspect or _is_nearer(real, source, start.M, levelled.M, settings))
+        ):
+            best = levelled
+            coverage = after
+            is_suspect = True
     return FrameCheck(as_given, best.name, coverage, is_suspect, _setting(best, settings, motion))
 
 
@@ -284,10 +290,29 @@ def _search(
     return as_given, best
 
 
+def _sizes(target: _Side, source: _Side, reach_ratio: float, coverage: float) -> list[float]:
+    """Metres per unit of the sizes to be tried.
+
+    That in which the simulated scan reaches as far as the real one, and if nothing covers much yet, others around it
+    and around that in which the sensor is at the height of the real one.
+    """
+    sizes = [reach_ratio]
+    if 1 - coverage >= MIN_GAIN:
+        sizes += (reach_ratio * _FINE_SCALES).tolist()
+        if min(abs(target.ground_m), abs(source.ground_m)) > _LEAST_HEIGHT_M:
+            sizes += (target.ground_m / source.ground_m * _FINE_SCALES).tolist()
+    return [
+        size
+        for size in dict.fromkeys(sizes)
+        if _LEAST_SCALE <= size <= _MOST_SCALE and abs(size - 1) >= _ALIKE
+    ]
+
+
 def _scaled(
     target: _Side,
     sources: dict[str, _Side],
     scans: tuple[FloatArray, FloatArray],
+    sizes: list[float],
     settings: InputSettings,
     motion: FloatArray,
     as_given: float,
@@ -295,28 +320,25 @@ def _scaled(
 ) -> tuple[float, _Candidate]:
     """The best of a candidate and of the simulated scan in another size, which is added to the sources.
 
-    The size in which it reaches as far as the real one is tried, and if nothing covers much yet, others around it and
-    around that in which the sensor is at the height of the real one.
+    Parameters
+    ----------
+    scans : simulated points, all and a sample of them
     """
-    source = sources[""]
-    real, sim = scans
-    reach_ratio = _reach_m(real) / max(_reach_m(sim), 1e-9)
-    factors = [reach_ratio]
-    if 1 - best[0] >= MIN_GAIN:
-        factors += (reach_ratio * _FINE_SCALES).tolist()
-        if min(abs(target.ground_m), abs(source.ground_m)) > _LEAST_HEIGHT_M:
-            factors += (target.ground_m / source.ground_m * _FINE_SCALES).tolist()
-    for factor in factors:
-        if not _LEAST_SCALE <= factor <= _MOST_SCALE or abs(factor - 1) < _ALIKE:
-            continue
-        unit = f"{_UNITS_OF} {factor:.3g} m"
-        points = _thinned(sim * factor, settings, "sim")
-        if unit in sources or len(points) < _MIN_POINTS:
-            continue
-        sources[unit] = _Side(points)
+    sim, some_sim = scans
+    rough = []
+    for size in sizes:
+        points = _thinned(some_sim * size, settings, "sim")
+        if len(points) >= _MIN_POINTS:
+            candidate = _Candidate("", motion)
+            coverage = _coverage(target, _Side(points), candidate, settings.include_box)
+            rough.append((coverage, size))
+    for _, size in sorted(rough, reverse=True)[:_MOST_SIZES]:
+        unit = f"{_UNITS_OF} {size:.3g} m"
+        source = _Side(_thinned(sim * size, settings, "sim"))
         candidate = _Candidate("", motion, unit)
-        coverage = _coverage(target, sources[unit], candidate, settings.include_box)
+        coverage = _coverage(target, source, candidate, settings.include_box)
         if coverage > max(best[0], _MIN_SCALED_COVERAGE) and _is_better(as_given, coverage, unit):
+            sources[unit] = source
             best = coverage, candidate
     return best
 
@@ -330,9 +352,15 @@ def _is_better(as_given: float, coverage: float, unit: str) -> bool:
     return gain >= MIN_GAIN and left <= _MAX_UNCOVERED_RATIO
 
 
+def _some_returns(points: FloatArray) -> FloatArray:
+    """A random sample of the points, without missing returns."""
+    some = points[np.random.default_rng(0).permutation(len(points))[:_SOME_RETURNS]]
+    return some[some.any(axis=1)]
+
+
 def _reach_m(points: FloatArray) -> float:
-    """Median distance of the points, but for missing returns; 0 without any."""
-    x, y, z = points[points.any(axis=1)].T
+    """Median distance of the points; 0 without any."""
+    x, y, z = points.T
     return float(np.median(np.hypot(np.hypot(x, y), z))) if len(x) else 0.0
 
 
@@ -485,12 +513,11 @@ def _thinned(points: FloatArray, settings: InputSettings, side: str) -> FloatArr
     return clean_scan(first, all_points, frame=settings.frame_of(side)).points
 
 
-def _scales(real: FloatArray, sim: FloatArray) -> dict[str, float]:
+def _scales(reach_ratio: float) -> dict[str, float]:
     """Metres per unit of metres, "", and of units in which a simulated scan reaches about as far as the real one."""
-    ratio = _reach_m(real) / max(_reach_m(sim), 1e-9)
     scales = {"": 1.0}
     for unit, (scale, most) in _UNITS.items():
-        if 1 / most < scale / max(ratio, 1e-9) < most:
+        if 1 / most < scale / max(reach_ratio, 1e-9) < most:
             scales[unit] = scale
     return scales
 

@@ -46,6 +46,7 @@ _MIN_POINTS = 500
 _HOLE = 5  # pulses that a gap within a surface may lack, at most
 _QUANTA_M = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.008, 0.005, 0.004, 0.003, 0.002, 0.001, 0.0005)
 _QUANTUM_RANGE_M = 30.0
+_LEAST_STEP_DEG = 0.02
 _RUN = 9  # returns of a beam one after the other
 _RUN_STEPS = 8  # from one return of a run to the next at most, if too few runs have no gap
 _FEWEST_RUNS = 200
@@ -66,7 +67,8 @@ class SensorDescription:
     block_deg : elevation between the two blocks
     focal_m : distance from the axis at which the beams cross
     field_of_view_deg : lowest and highest elevation of a return, and the sector of azimuth that has returns
-    azimuth_step_deg : angle between two firings of a beam
+    azimuth_step_deg : angle between two firings of a beam, of most
+    firing_deg : the same on average, which differs if firings are uneven
     range_quantum_m : ranges are multiples of it
     range_noise_m : standard deviation along the ray on smooth surfaces; rather too high, as their roughness counts
     range_noise_low_m : the same without the part that grows with the azimuth step; rather too low in dense scans
@@ -88,6 +90,7 @@ class SensorDescription:
     focal_m: float = 0.0
     field_of_view_deg: tuple[float, ...] = ()
     azimuth_step_deg: float | None = None
+    firing_deg: float | None = None
     range_quantum_m: float | None = None
     range_noise_m: float | None = None
     range_noise_low_m: float | None = None
@@ -211,6 +214,7 @@ def _describe_beams(
         before = np.flatnonzero(n_firings > 1)
         gaps = np.column_stack([sweep.row[before], sweep.row[before + 1]]), n_firings[before] - 1
         estimates |= {
+            "firing_deg": _firing_deg(sweep, step),
             "range_noise_m": noise,
             "range_noise_low_m": _least_range_noise(sweep, step, noise),
             "azimuth_noise_deg": _azimuth_noise(sweep, step),
@@ -362,7 +366,7 @@ def _azimuth_step(sweep: _Sweep) -> float | str:
     bin_deg = 0.002
     most_deg = 4.0
     gap = sweep.gap_deg
-    gap = gap[(gap > 0.02) & (gap < most_deg)]
+    gap = gap[(gap > _LEAST_STEP_DEG) & (gap < most_deg)]
     if len(gap) < _MIN_POINTS:
         return "too few neighbouring returns"
     bins = (gap / bin_deg).astype(np.intp)
@@ -374,6 +378,12 @@ def _azimuth_step(sweep: _Sweep) -> float | str:
     if len(near) < 0.15 * len(gap):
         return "neighbouring returns have no common distance in azimuth"
     return round(float(np.median(near)), 4)
+
+
+def _firing_deg(sweep: _Sweep, step_deg: float) -> float:
+    """Mean azimuth between firings, by the returns without a lost one between them."""
+    gap = sweep.gap_deg
+    return float(np.mean(gap[(gap > _LEAST_STEP_DEG) & (gap < 1.5 * step_deg)]))
 
 
 def _spread(off_deg: FloatArray) -> float | None:

@@ -27,8 +27,9 @@ FRAME = "frame"
 FINE = "fine_coordinates"
 #: Needed by the noise of the elevation: beams that are not blurred by a tilt of the simulated side.
 UPRIGHT = "upright"
-#: Of both sides: azimuth steps without a doubtful ratio; no side cropped to a box; road on the simulated side.
-STEPS, UNCROPPED, ROAD = "azimuth_steps", "uncropped", "road"
+#: Of both sides: azimuth steps without a doubtful ratio; no side cropped to a box; the road; returns on each for
+#: several of the other.
+STEPS, UNCROPPED, ROAD, ENOUGH = "azimuth_steps", "uncropped", "road", "enough_returns"
 #: Doubts that make `fidpipe check` fail.
 SERIOUS = (MISSES, ONE_SWEEP, POSITION, FRAME)
 _LEAST_DEPTH_M = 5.0

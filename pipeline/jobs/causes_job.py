@@ -115,6 +115,6 @@ STAGE = Stage(
     settings=("input",),
     grain=Grain.PAIR,
     make=make_causes,
-    version=10,
+    version=11,
     libraries=("scikit-learn",),
 )

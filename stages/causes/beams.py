@@ -34,15 +34,13 @@ _BEHIND_M = 0.3
 def dead_beams(sensor: SensorDescription, reference: Side, side: Side) -> IndexArray:
     """Beams of a sensor that return almost nothing on a side, although they do on the reference side.
 
-    A beam is dead if it has less than 0.2 of the returns that it would have at the median ratio over all beams.
+    A beam is dead if it has less than 0.2 of the returns that it would have at the ratio of all returns.
     """
     n_beams = len(sensor.elevation_deg)
     n_reference = np.bincount(sensor.beam_of(reference.sensor_points), minlength=n_beams)
     n_side = np.bincount(_beams_hit(sensor, side), minlength=n_beams)
     is_compared = n_reference >= _FEWEST_RETURNS
-    if not is_compared.any():
-        return np.empty(0, dtype=np.intp)
-    usual = np.median(n_side[is_compared] / n_reference[is_compared])
+    usual = n_side[is_compared].sum() / max(n_reference[is_compared].sum(), 1)
     return np.flatnonzero(is_compared & (n_side < _DEAD * usual * n_reference))
 
 

@@ -15,6 +15,7 @@ from ..linalg.nearest import search_tree
 from ..sensor_description import SensorDescription, has_other_beams
 from ..trust import (
     BEAMS,
+    ENOUGH,
     FRAME,
     ONE_SWEEP,
     RETURNS,
@@ -25,7 +26,11 @@ from ..trust import (
     UPRIGHT,
     cropped_box,
 )
-from .beams import blurred_elevation_deg, road_blur_deg2, second_returns
+from .beams import (
+    blurred_elevation_deg,
+    road_blur_deg2,
+    second_returns,
+)
 from .distance import best_case_distance, distances, sample_rows, surface_distance
 from .losses import FEWEST_OF_KIND, fit_losses
 from .pose import Pose, fit_pose, undo_elevation_scale
@@ -39,7 +44,7 @@ from .unmatched import (
     explain_directions,
     find_unmatched,
     in_gap,
-    nearest_m,
+    least_range_m,
 )
 
 _LEAST_POINTS = 50  # of a side that has a surface to compare
@@ -55,7 +60,7 @@ _STRAY_POINTS = 20_000
 _FEWEST_BEYOND = 10  # returns; fewer may be lost by chance
 _TOO_MANY_STRAYS = 0.09  # of mixed pixels
 _MISSING_ROAD = 0.5  # of the points of the real road
-_SPARSE, _SPARSE_PARTS = 0.3, 0.05  # of the real returns; of the real points
+_SPARSE = 0.15  # of the returns of the other side
 _OTHER_VIEW_DEG = 45.0
 _LOW_SHARE = 0.1  # of the points, below all those of the other side
 _ALIKE = 0.05  # azimuth steps
@@ -118,19 +123,7 @@ def estimate(scans: PairScans, seed: int = 0) -> PairEstimates | None:
     amounts |= _amounts(real, aligned, sim, explained)
     doubts = _doubts_of_pair(real, aligned, sim, explained, amounts["mixed pixels"]) | doubts
     doubts |= _doubts_of_pose(pose, sim)
-    amounts = only_known(amounts, doubts)
-    if len(scans.sim.points) < _SPARSE * len(scans.real.points):
-        amounts |= _unknown_of_sparse(amounts)
-    return PairEstimates(pose, amounts, distance_m, best_case_m)
-
-
-def _unknown_of_sparse(amounts: Mapping[str, Amount]) -> dict[str, Amount]:
-    """Amounts that the gaps between few simulated returns would feign."""
-    unknown = Amount(None, reason="the simulated scan has too few returns")
-    names = ["far surface", "lost far returns", "mixed pixels", "elevation noise"]
-    if (amounts["missing parts"].amount or 0.0) < _SPARSE_PARTS:
-        names.append("missing parts")
-    return {name: unknown for name in names if amounts[name].amount is not None}
+    return PairEstimates(pose, only_known(amounts, doubts), distance_m, best_case_m)
 
 
 def _doubts_of_pair(
@@ -141,6 +134,9 @@ def _doubts_of_pair(
     if (strays.amount or 0.0) > _TOO_MANY_STRAYS:
         text = f"simulated scan: {strays.amount:.0%} of its points float off smooth surface: second returns in others?"
         doubts = dict.fromkeys((ONE_SWEEP, SAME_SWEEPS, BEAMS), text)
+    if not _SPARSE < explained.real_per_sim < 1 / _SPARSE:
+        sparse = "real" if explained.real_per_sim < 1 else "simulated"
+        doubts[ENOUGH] = f"{sparse} scan: too few returns, compared with the other side"
     if unlike := _unlike_patterns(real, sim, recorded):
         doubts[BEAMS] = unlike
     if _is_without_road(real, sim, explained) or _is_above(sim, real):
@@ -340,8 +336,8 @@ def _amounts(real: Side, sim: Side, recorded: Side, explained: Explained) -> dic
     is_used_real = ~(_is_near(real, parts) | missing.is_beyond | explained.real)
     is_used_sim = ~(_is_near(sim, parts) | explained.sim)
     return {
-        "maximum range": _maximum_range(real.chosen(~explained.is_blind), sim, missing, invented),
-        "minimum range": _difference(nearest_m(real), nearest_m(sim)),
+        "maximum range": _maximum_range(real.chosen(~explained.real), sim.chosen(~explained.sim)),
+        "minimum range": _difference(least_range_m(real), least_range_m(sim)),
         "moved parts": _share_of(missing.is_moved),
         "missing parts": _share_of(missing.is_part),
         "invented parts": _share_of(invented.is_part),
@@ -368,14 +364,19 @@ def _share_of(is_concerned: BoolArray) -> Amount:
     return Amount(share, share=share)
 
 
-def _maximum_range(real: Side, sim: Side, missing: Unmatched, invented: Unmatched) -> Amount:
-    """Difference of the farthest returns, 0 if one side has only a few beyond the farthest of the other."""
-    if not len(real.points):
+def _maximum_range(real: Side, sim: Side) -> Amount:
+    """Difference of the farthest returns in common directions.
+
+    It is 0 if one side has only a few beyond the farthest of the other, by the density of the sparser one.
+    """
+    n_real = len(real.points)
+    n_sim = len(sim.points)
+    if not min(n_real, n_sim):
         return Amount(None, reason="the two sides have no direction in common")
-    share = float(missing.is_beyond.mean() + invented.is_beyond.mean())
     real_m = float(real.range_m.max())
     sim_m = float(sim.range_m.max())
-    if missing.is_beyond.sum() + invented.is_beyond.sum() < _FEWEST_BEYOND:
+    share = float((real.range_m > sim_m).mean() + (sim.range_m > real_m).mean())
+    if share * min(n_real, n_sim) < _FEWEST_BEYOND:
         return Amount(0.0, real_m, sim_m, 0.0)
     return _difference(real_m, sim_m, share)
 
@@ -447,7 +448,7 @@ def _sensor_amounts(
         "azimuth step": _with_share(step, a.azimuth_step_deg or 1.0),
         "azimuth noise": _with_share(azimuth_noise, _NOISY_DEG),
         "elevation noise": _with_share(_elevation_noise(real, sim, recorded), _NOISY_DEG),
-        "beams": _beam_amount(real, sim, explained),
+        "beams": _beam_amount(real, sim, recorded, explained),
         "exchanged beams": _exchanged_amount(real, sim, explained),
         "range steps": _with_share(range_steps, _NOISY_M),
     }
@@ -520,14 +521,14 @@ def _elevation_noise(real: Side, sim: Side, recorded: Side) -> Amount:
     return Amount(float(np.sqrt(sim_blur - real_blur)))
 
 
-def _beam_amount(real: Side, sim: Side, explained: Explained) -> Amount:
+def _beam_amount(real: Side, sim: Side, recorded: Side, explained: Explained) -> Amount:
     """Beams more or fewer than the real sensor's; dead ones are counted if the simulated beams are not distinct.
 
     Exchanged beams can appear as further ones. Beams that only see what a minimum range cuts off do not count.
     """
     n_real = len(real.sensor.elevation_deg)
     n_sim = len(sim.sensor.elevation_deg)
-    if not n_real:
+    if not n_real or (not n_sim and blurred_elevation_deg(real.sensor, recorded) is None):
         return _unknown(real.sensor, sim.sensor, "elevation_deg")
     n_dead = len(explained.dead)
     if explained.exchanged and n_sim > n_real:
@@ -535,7 +536,7 @@ def _beam_amount(real: Side, sim: Side, explained: Explained) -> Amount:
     elif not n_sim or (n_dead and not sim.sensor.is_sharp):
         n_sim = n_real - n_dead
     elif n_sim < n_real:
-        n_sim = min(n_sim + explained.n_cut, n_real)
+        n_sim = max(n_sim, n_real - n_dead)
     share = float(explained.is_dead.mean()) if n_dead else abs(n_sim - n_real) / n_real
     return _difference(n_real, n_sim, share)
 

@@ -10,13 +10,13 @@ from ..sensor_description import SensorDescription
 from .beams import DOUBTFUL_BEAMS
 from .sides import Side, medians_by_group
 
-#: Returns, far or grazing, that a loss needs.
+#: Returns, far or grazing, that a loss needs of either side.
 FEWEST_OF_KIND = 100
 _CELL_DEG = 2.0
 _N_AROUND = round(360.0 / _CELL_DEG)
 _N_CELLS = _N_AROUND * (_N_AROUND // 2 + 2)
 _EDGE_DEG = 0.15  # from a beam to the edge of a cell
-_FEWEST = 5  # returns of a cell
+_FEWEST = 5  # returns of a cell that either side would have
 _ALIKE = (
     0.1  # relative difference of the median ranges of a cell in which both sides see one surface
 )
@@ -44,7 +44,8 @@ def fit_losses(
     sim_cell = _cell_of(sim, edge_deg)[is_used_sim]
     n_real, real_range_m = medians_by_group(real.range_m[is_used_real], real_cell, _N_CELLS)
     n_sim, sim_range_m = medians_by_group(sim.range_m[is_used_sim], sim_cell, _N_CELLS)
-    has_both = (n_real >= _FEWEST) & (n_sim > 0)
+    n_per_sim = max(round(is_used_real.sum() / is_used_sim.sum()), 1)
+    has_both = (n_real >= _FEWEST * n_per_sim) & (n_sim > 0)
     is_alike = has_both & (np.abs(sim_range_m - real_range_m) <= _ALIKE * real_range_m)
     n_real = n_real[is_alike]
     if not len(n_real):
@@ -54,11 +55,11 @@ def fit_losses(
         cell = real_cell[real.concerned(name)[is_used_real]]
         share = np.bincount(cell, minlength=_N_CELLS)[is_alike] / n_real
         n_of_kind = n_real[share > 0.5].sum()
-        if min(n_of_kind, n_real.sum() - n_of_kind) >= FEWEST_OF_KIND:
+        if min(n_of_kind, n_real.sum() - n_of_kind) >= FEWEST_OF_KIND * n_per_sim:
             kinds[name] = share
-    real_step = real.sensor.azimuth_step_deg
-    sim_step = sim.sensor.azimuth_step_deg
-    firings = real_step / sim_step if real_step and sim_step else 1.0  # simulated ones per real one
+    real_deg = real.sensor.firing_deg
+    sim_deg = sim.sensor.firing_deg
+    firings = real_deg / sim_deg if real_deg and sim_deg else 1.0  # simulated ones per real one
     firings *= _beam_ratio(real.sensor, sim.sensor, dead)
     return _fit(n_real, n_sim[is_alike], firings, kinds)
 

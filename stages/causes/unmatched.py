@@ -16,11 +16,12 @@ _FINE_SECTOR_DEG = 1.0
 _SECTOR_POINTS = 10
 _BLIND = 0.1  # of the usual number of returns, in fine sectors
 _WIDE_GAP_DEG = (30.0, 330.0)
-_DENSE_DEG = 0.35  # azimuth step up to which sectors are fine
+_DENSE_DEG = 0.35  # azimuth between returns up to which sectors are fine
 #: A point without a counterpart is farther from the other side than this, and this times its range.
 APART_M, APART_PER_M = 0.25, 0.01
 _CUT = 0.003  # of the points of beams that are not dead: nearer ones that a minimum range cuts off
 _CLUTTER_M = 6.0  # nearer returns without a real counterpart are clutter
+_CUT_M = 0.1  # beyond the nearest return, where cleaning may drop that of one side only
 _CLUSTER_M = 0.6
 _CLUSTER = 5  # a part: other points without a counterpart around one, at 6 m and beyond
 _MOVED_M = 1.5  # from a missing to an invented part
@@ -32,7 +33,6 @@ class Explained:
 
     blind_deg : azimuth in which only the real side has returns
     dead : beams of the real sensor without simulated returns
-    n_cut : number of further beams, which see the ground nearer than the simulated minimum range
     exchanged : pairs of beams with each other's ranges
     is_blind, is_dead : (n,) bool, real points in these directions
     real, sim : (n,), (m,) bool, points that do not count as missing, invented or lost any more
@@ -40,21 +40,24 @@ class Explained:
 
     blind_deg: float
     dead: IndexArray
-    n_cut: int
     exchanged: list[tuple[int, int]]
     is_blind: BoolArray
     is_dead: BoolArray
     real: BoolArray
     sim: BoolArray
 
+    @property
+    def real_per_sim(self) -> float:
+        """Real points per simulated one, of those that these flaws do not explain."""
+        return float(max((~self.real).sum(), 1) / max((~self.sim).sum(), 1))
+
 
 def explain_directions(real: Side, sim: Side) -> Explained:
     """Blind directions, dead and exchanged beams of a pair whose simulated side is without its displacement."""
-    sector, is_blind_sector = _blind_sectors(real, sim)
-    is_blind = is_blind_sector[sector] | in_gap(real, sim)
-    is_near = real.range_m < nearest_m(sim)
+    is_blind, blind_deg = _blind_directions(real, sim)
+    is_unseen, _ = _blind_directions(sim, real)
+    is_near = real.range_m < least_range_m(sim)
     dead = np.empty(0, dtype=np.intp)
-    n_cut = 0
     is_dead = np.zeros(len(real.points), dtype=np.bool_)
     exchanged, is_exchanged_real, is_exchanged_sim = _find_exchanged(real, sim)
     if real.sensor.elevation_deg and not exchanged:
@@ -62,24 +65,21 @@ def explain_directions(real: Side, sim: Side) -> Explained:
         dead = dead_beams(real.sensor, real.chosen(~is_blind), sim)
         is_dead = np.isin(beam, dead)
         if (is_near & ~is_dead).mean() > _CUT:
-            n_cut = len(dead)
             dead = dead_beams(real.sensor, real.chosen(~is_blind & ~is_near), sim)
-            n_cut -= len(dead)
             is_dead = np.isin(beam, dead)
     is_near &= (is_near & ~is_dead).mean() > _CUT
     return Explained(
-        blind_deg=float(360.0 / len(is_blind_sector) * is_blind_sector.sum()),
+        blind_deg=blind_deg,
         dead=dead,
-        n_cut=n_cut,
         exchanged=exchanged,
         is_blind=is_blind,
         is_dead=is_dead,
         real=is_blind | is_dead | is_near | is_exchanged_real,
-        sim=is_exchanged_sim | in_gap(sim, real),
+        sim=is_exchanged_sim | is_unseen,
     )
 
 
-def nearest_m(side: Side) -> float:
+def least_range_m(side: Side) -> float:
     """Range from which on a side has returns, but for one in a thousand, metres."""
     return float(np.quantile(side.range_m, 0.001))
 
@@ -94,26 +94,30 @@ def in_gap(side: Side, other: Side) -> BoolArray:
     return (side.azimuth_deg - azimuth_deg[widest]) % 360.0 < gap_deg[widest]
 
 
-def _blind_sectors(real: Side, sim: Side) -> tuple[IndexArray, BoolArray]:
-    """Sector of azimuth of each real point, and in which sectors the simulated side has hardly any returns."""
-    width_deg = _sector_deg(real, sim)
+def _blind_directions(side: Side, other: Side) -> tuple[BoolArray, float]:
+    """(n,) True for points of a side where the other has hardly any returns, and the azimuth of these sectors, degrees.
+
+    Sectors are fine if both sides have several returns in them.
+    """
+    is_dense = max(_azimuth_gap_deg(side), _azimuth_gap_deg(other)) <= _DENSE_DEG
+    width_deg = _FINE_SECTOR_DEG if is_dense else _SECTOR_DEG
     n_sectors = round(360 / width_deg)
-    sector = _sector(real, n_sectors)
-    n_real = np.bincount(sector, minlength=n_sectors)
-    n_sim = np.bincount(_sector(sim, n_sectors), minlength=n_sectors)
-    is_compared = n_real >= _SECTOR_POINTS
-    if not is_compared.any():
-        return sector, is_compared
-    usual = float(np.median(n_sim[is_compared] / n_real[is_compared]))
-    most_left = _BLIND * usual if width_deg == _FINE_SECTOR_DEG else 0.0
-    return sector, is_compared & (n_sim <= most_left * n_real)
+    sector = _sector(side, n_sectors)
+    n_side = np.bincount(sector, minlength=n_sectors)
+    n_other = np.bincount(_sector(other, n_sectors), minlength=n_sectors)
+    is_blind = n_side >= _SECTOR_POINTS
+    has_both = is_blind & (n_other > 0)
+    if has_both.any():
+        expected = n_side * float(np.median(n_other[has_both] / n_side[has_both]))
+        most_left = _BLIND * expected if is_dense else 0.0
+        is_blind &= (n_other <= most_left) & (expected >= _SECTOR_POINTS)
+    return is_blind[sector] | in_gap(side, other), width_deg * float(is_blind.sum())
 
 
-def _sector_deg(real: Side, sim: Side) -> float:
-    """Width of a sector: fine if beams fire several times in it on both sides."""
-    steps_deg = [side.sensor.azimuth_step_deg for side in (real, sim)]
-    is_dense = all(step is not None and step <= _DENSE_DEG for step in steps_deg)
-    return _FINE_SECTOR_DEG if is_dense else _SECTOR_DEG
+def _azimuth_gap_deg(side: Side) -> float:
+    """Gap between neighbouring azimuths in which a random direction lies: the azimuth step of common columns."""
+    gap_deg = np.sort(np.diff(np.sort(side.azimuth_deg)))
+    return float(gap_deg[np.searchsorted(np.cumsum(gap_deg), gap_deg.sum() / 2)])
 
 
 def _sector(side: Side, n_sectors: int) -> IndexArray:
@@ -149,20 +153,20 @@ class Unmatched:
     is_moved: BoolArray
 
 
-def find_unmatched(
-    a: Side, b: Side, explained: Explained | None = None
-) -> tuple[Unmatched, Unmatched]:
+def find_unmatched(a: Side, b: Side, explained: Explained) -> tuple[Unmatched, Unmatched]:
     """Points of both sides that are farther from the other side than 0.25 m and 1 % of their range or an azimuth step.
 
-    Road is not moved: it is seen where an object is missing.
+    If the other side is sparser by a factor, the part of the range is larger by it. Road is not moved: it is seen
+    where an object is missing.
 
     Parameters
     ----------
     explained : points that other flaws explain, which do not count
     """
-    step_deg = max(side.sensor.azimuth_step_deg or 0.0 for side in (a, b))
-    missing = _unmatched(a, b, step_deg, None if explained is None else explained.real)
-    invented = _unmatched(b, a, step_deg, None if explained is None else explained.sim)
+    step = np.radians(max(side.sensor.azimuth_step_deg or 0.0 for side in (a, b)))
+    density = explained.real_per_sim
+    missing = _unmatched(a, b, max(step, APART_PER_M * max(density, 1.0)), explained.real)
+    invented = _unmatched(b, a, max(step, APART_PER_M / min(density, 1.0)), explained.sim)
     missing_objects = missing.is_part & ~a.is_ground
     invented_objects = invented.is_part & ~b.is_ground
     missing_points = a.points[missing_objects]
@@ -172,22 +176,19 @@ def find_unmatched(
     return missing, invented
 
 
-def _unmatched(
-    side: Side, other: Side, step_deg: float, is_explained: BoolArray | None
-) -> Unmatched:
+def _unmatched(side: Side, other: Side, apart_per_m: float, is_explained: BoolArray) -> Unmatched:
     """Points of a side without a counterpart; none of them is moved yet."""
-    limit_m = APART_M + max(APART_PER_M, np.radians(step_deg)) * side.range_m
+    limit_m = APART_M + apart_per_m * side.range_m
     apart_m, _ = other.tree.query(side.points, distance_upper_bound=1.001 * limit_m.max())
-    is_apart = apart_m > limit_m
-    if is_explained is not None:
-        is_apart &= ~is_explained
+    is_apart = (apart_m > limit_m) & ~is_explained
     is_beyond = side.range_m > other.range_m.max()
     is_part = is_apart & ~is_beyond
     rows = np.flatnonzero(is_part)
     points = side.points[rows]
     n_near = search_tree(points).query_ball_point(points, _CLUSTER_M, return_length=True)
     is_part[rows] = n_near > _CLUSTER * np.maximum(_CLUTTER_M / side.range_m[rows], 1.0) ** 2
-    is_clutter = is_apart & ~is_part & (side.range_m < _CLUTTER_M)
+    nearest_m = min(side.range_m.min(), other.range_m.min()) + _CUT_M
+    is_clutter = is_apart & ~is_part & (side.range_m > nearest_m) & (side.range_m < _CLUTTER_M)
     return Unmatched(is_apart, is_beyond, is_clutter, is_part, np.zeros(len(is_part), np.bool_))
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from fidpipe.schemas.cause_catalogue import CAUSES, LOSSES
@@ -13,6 +14,7 @@ from fidpipe.stages.causes.beams import second_returns
 from fidpipe.stages.causes.estimates import (
     Amount,
     _losses,
+    _maximum_range,
     _stray_amount,
     doubts_of,
     estimate,
@@ -25,6 +27,7 @@ from fidpipe.stages.plausibility import implausible
 from fidpipe.stages.sensor_description import describe_sensor
 from fidpipe.stages.trust import (
     BEAMS,
+    ENOUGH,
     FINE,
     FRAME,
     MISSES,
@@ -156,17 +159,34 @@ def test_every_need_of_the_catalogue_can_be_in_doubt():
         STEPS,
         UNCROPPED,
         ROAD,
+        ENOUGH,
     }
 
 
-def unknown_of(real, sim):
-    """Reasons of unknown causes of a pair without ground cut, by cause."""
+def amounts_of(real, sim):
+    """Amounts of the causes of a pair without ground cut, by cause."""
     sides = []
     for points in (real, sim):
         is_ground = points[:, 2] < ROAD_M
         sides.append(Side(points, is_ground, describe_sensor(points)))
-    amounts = estimate(PairScans(*sides)).amounts
+    return estimate(PairScans(*sides)).amounts
+
+
+def unknown_of(real, sim):
+    """Reasons of unknown causes of a pair without ground cut, by cause."""
+    amounts = amounts_of(real, sim)
     return {name: amount.reason for name, amount in amounts.items() if amount.amount is None}
+
+
+def columns_of(scan):
+    """Number of the firing of each point within the revolution."""
+    azimuth_deg = np.degrees(np.arctan2(scan[:, 1], scan[:, 0])) + 180.0
+    return np.round(azimuth_deg / describe_sensor(scan).azimuth_step_deg).astype(int)
+
+
+def with_gaps(scan, n_gaps, width_deg):
+    azimuth_deg = np.degrees(np.arctan2(scan[:, 1], scan[:, 0])) + 1.5
+    return scan[azimuth_deg % (360.0 / n_gaps) > width_deg]
 
 
 def test_even_sweeps_in_any_order_are_not_a_finer_azimuth_step(scan):
@@ -218,11 +238,88 @@ def test_on_slopes_a_side_without_its_lowest_points_has_no_blind_directions():
 
 
 def test_parts_between_few_returns_are_not_missing(scan):
+    few = scan[np.random.default_rng(0).random(len(scan)) < 0.2]
+    amounts = amounts_of(scan, few)
+    for name in ("missing parts", "far surface", "maximum range", "beams"):
+        assert abs(amounts[name].amount) < CAUSES[name].tolerance
+    assert amounts_of(few, scan)["invented parts"].amount < CAUSES["invented parts"].tolerance
+
+
+def test_what_few_returns_feign_is_unknown(scan):
+    few = scan[np.random.default_rng(0).random(len(scan)) < 0.08]
+    for pair, side in (((scan, few), "simulated"), ((few, scan), "real")):
+        amounts = amounts_of(*pair)
+        for name in ("missing parts", "invented parts", "flat shapes", "elevation noise"):
+            assert amounts[name].reason.startswith(f"{side} scan: too few returns")
+        assert abs(amounts["beams"].amount) < CAUSES["beams"].tolerance
+
+
+def test_a_sensor_with_a_quarter_of_the_beams_lacks_beams_and_no_parts(scan):
+    fewer = scan[describe_sensor(scan).beam_of(scan) % 4 == 0]
+    amounts = amounts_of(scan, fewer)
+    assert amounts["beams"].amount == pytest.approx(-24, abs=1)
+    assert amounts["missing parts"].amount < CAUSES["missing parts"].tolerance
+
+
+def test_uneven_firings_are_not_lost_returns(scan):
+    kept = np.cumsum(np.random.default_rng(0).choice([4, 5], 600))
+    uneven = scan[np.isin(columns_of(scan), kept)]
+    sensor = describe_sensor(uneven)
+    step_deg = describe_sensor(scan).azimuth_step_deg
+    assert sensor.firing_deg == pytest.approx(4.5 * step_deg, rel=0.03)
+    assert sensor.azimuth_step_deg == pytest.approx(4 * step_deg, rel=0.03)
+    lost = amounts_of(scan, uneven)["lost returns"].amount
+    assert abs(lost) < CAUSES["lost returns"].tolerance
+
+
+def test_gaps_of_the_real_side_hold_no_invented_parts(scan):
+    amounts = amounts_of(with_gaps(scan, 10, 4.0), scan)
+    assert amounts["invented parts"].amount < CAUSES["invented parts"].tolerance
+    assert amounts["blind sector"].amount == 0
+
+
+def test_blind_directions_are_found_without_an_azimuth_step(scan):
+    azimuth = np.random.default_rng(0).uniform(-0.01, 0.01, len(scan))
+    turn = np.array([[np.cos(azimuth), -np.sin(azimuth)], [np.sin(azimuth), np.cos(azimuth)]])
+    shaken = np.column_stack([np.einsum("ijn,nj->ni", turn, scan[:, :2]), scan[:, 2]])
+    assert describe_sensor(shaken).azimuth_step_deg is None
+    blind_deg = amounts_of(shaken, with_gaps(shaken, 8, 5.0))["blind sector"].amount
+    assert blind_deg == pytest.approx(40, abs=9)
+
+
+def test_the_range_of_both_sides_is_compared_in_common_directions(scan):
+    ahead = scan[np.abs(scan[:, 1]) < scan[:, 0]]
+    near_ahead = ahead[np.linalg.norm(ahead, axis=1) < 40.0]
+    behind = scan[scan[:, 0] < 0]
+    amount = amounts_of(near_ahead, np.vstack([near_ahead, behind]))["maximum range"]
+    assert amount.amount == 0
+    nothing = Side(scan[:0], np.zeros(0, dtype=bool), describe_sensor(scan))
+    whole = Side(scan, np.zeros(len(scan), dtype=bool), describe_sensor(scan))
+    for sides in ((nothing, whole), (whole, nothing)):
+        assert "no direction in common" in _maximum_range(*sides).reason
+
+
+def test_beams_of_a_pattern_without_rings_are_not_counted(scan):
     rng = np.random.default_rng(0)
-    unknown = unknown_of(scan, scan[rng.random(len(scan)) < 0.2])
-    for name in ("missing parts", "far surface", "lost far returns", "mixed pixels"):
-        assert unknown[name] == "the simulated scan has too few returns"
-    assert "missing parts" not in unknown_of(scan, scan[rng.random(len(scan)) < 0.4])
+    partner = scan[cKDTree(scan).query(scan, k=4)[1][:, 3]]
+    near = np.linalg.norm(partner - scan, axis=1) < 0.03 * np.linalg.norm(scan, axis=1)
+    between = scan[near] + rng.random((near.sum(), 1)) * (partner - scan)[near]
+    unknown = unknown_of(scan, between[between[:, 2] > -1.4])
+    assert "beams" in unknown
+
+
+def test_the_road_is_not_judged_on_a_range_image(scan):
+    assert "range image" in unknown_of(of_image(scan), scan)["road height"]
+
+
+def test_returns_at_the_minimum_range_are_not_clutter(scan):
+    road = scan[np.linalg.norm(scan, axis=1) > 3.0]
+    for range_m, n_clutter in ((3.05, 0), (3.6, 30)):
+        angle = np.linspace(0.0, 6.0, 30)
+        ring = np.column_stack([np.cos(angle), np.sin(angle), np.full(30, 0.3)])
+        ring *= range_m / np.linalg.norm(ring, axis=1)[:, None]
+        amount = amounts_of(road, np.vstack([road, ring]))["clutter"].amount
+        assert amount * (len(road) + 30) == pytest.approx(n_clutter, abs=6)
 
 
 @pytest.mark.parametrize("cropped", ["real", "sim"])
