@@ -153,16 +153,13 @@ def test_a_folder_without_a_finished_run_is_refused(tmp_path):
         ("", "fidpipe run {0} SIM"),
         ("absent", "fidpipe run DATASET --out {0}"),
         ("data", "fidpipe run {0} --out runs/data"),
-        ("runs", "{0}/one"),
     ):
         (tmp_path / "data" / "real").mkdir(parents=True, exist_ok=True)
-        (tmp_path / "runs" / "one").mkdir(parents=True, exist_ok=True)
-        (tmp_path / "runs" / "one" / "run.json").touch()
         folder = tmp_path / name
         with pytest.raises(RunError) as error:
             FinishedRun(folder)
         assert str(error.value).startswith(f"run {folder}: ")
-        assert str(error.value).endswith(advice.format(folder))
+        assert advice.format(folder) in str(error.value)
     (tmp_path / "run.json").write_text('{"dataset": "/data/streets"}')
     with pytest.raises(RunError, match=str(tmp_path)):
         FinishedRun(tmp_path)
