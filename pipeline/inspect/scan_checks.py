@@ -21,8 +21,8 @@ from ...stages.frame_search import FrameCheck, check_frames
 from ...stages.ground import MIN_OBJECT_POINTS
 from ...stages.plausibility import ScanInspection, inspect_points
 from ...stages.sensor_description import SensorDescription
-from ...stages.statistics.comparison import blocks_of
 from ...stages.statistics.bands import evenly
+from ...stages.statistics.comparison import blocks_of
 from ..datasets.content import scan_content
 from ..datasets.pairing import require_partners
 from ..datasets.pairs import ScanPair, may_crash, read_dataset
