@@ -8,17 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .options import (
-    AsCsv,
     AsJson,
     Assignments,
     BestCase,
     RunFolder,
     Scheduler,
     Workers,
-    check_format,
     machines_of,
 )
-from .output import print_csv, print_json, print_view
+from .output import print_json, print_view
 
 if TYPE_CHECKING:
     from pydantic import JsonValue
@@ -122,7 +120,6 @@ def tasks(
     ] = None,
     odometry: bool = False,
     as_json: AsJson = False,
-    as_csv: AsCsv = False,
 ) -> None:
     """Show what a perception stack gets from both scans: of a run with --tasks, or of your model.
 
@@ -143,7 +140,7 @@ def tasks(
 
     fidpipe tasks runs/dataset --predictions labels/real labels/sim
 
-    fidpipe tasks runs/dataset --predictions boxes/real boxes/sim --csv > objects.csv
+    fidpipe tasks runs/dataset --predictions boxes/real boxes/sim --json | jq '.objects'
 
     fidpipe tasks runs/dataset --odometry
     """
@@ -153,26 +150,21 @@ def tasks(
     from ..results.finished import FinishedRun
     from ..results.odometry import compare_odometry
 
-    check_format(as_json, as_csv)
     if predictions and odometry:
         raise typer.BadParameter("expected --predictions or --odometry, got both")
     finished = FinishedRun(run)
     if predictions:
         agreement = compare_predictions(finished, *predictions)
         view = views.agreement_view(agreement)
-        rows = [*agreement.objects]
-        plain: JsonValue = agreement.as_dict()
+        values: JsonValue = agreement.as_dict()
     elif odometry:
         rows = compare_odometry(finished)
         view = views.odometry_view(rows)
-        plain = [*rows]
+        values = [*rows]
     else:
-        rows = [summary.as_dict() for summary in finished.task_summaries]
         view = tasks_view(finished.task_summaries)
-        plain = [*rows]
+        values = [summary.as_dict() for summary in finished.task_summaries]
     if as_json:
-        print_json(plain)
-    elif as_csv:
-        print_csv(rows)
+        print_json(values)
     else:
         print_view(view)

@@ -64,19 +64,12 @@ BestCase = Annotated[
     typer.Option(metavar="RUN", help="Show scores minus those of this run of fidpipe best-case."),
 ]
 Replace = Annotated[bool, typer.Option(help="Replace finished results.")]
-AsCsv = Annotated[bool, typer.Option("--csv", help="CSV, for a spreadsheet.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Strict JSON, nothing else.")]
 
 EXIT_WRONG_INPUT = 1
 EXIT_PAIRS_FAILED = 3
 EXIT_GATE_FAILED = 4
 EXIT_INTERRUPTED = 130
-
-
-def check_format(as_json: bool, as_csv: bool) -> None:
-    """Raise `typer.BadParameter` if two formats are requested."""
-    if as_json and as_csv:
-        raise typer.BadParameter("--json and --csv exclude each other; give one of them")
 
 
 def machines_of(

@@ -12,11 +12,10 @@ from ..terminal import shown
 from .options import EXIT_PAIRS_FAILED
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     from pydantic import JsonValue
 
-    from ...schemas.columns import Row
     from ...schemas.results import JsonObject
     from ..report.view import View
 
@@ -43,13 +42,6 @@ def print_outcome(result: View | JsonObject, failures: Mapping[str, str]) -> Non
 def print_line(text: str) -> None:
     """Print a line; control characters in names are escaped."""
     print(shown(text))
-
-
-def print_csv(rows: Sequence[Row]) -> None:
-    """Print rows as CSV."""
-    from ..report.render import csv_text
-
-    print_text(csv_text(rows))
 
 
 def print_text(text: str) -> None:

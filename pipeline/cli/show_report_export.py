@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from .options import AsCsv, AsJson, BestCase, Pairs, RunFolder, check_format
-from .output import print_csv, print_json, print_line, print_view
+from .options import AsJson, BestCase, Pairs, RunFolder
+from .output import print_json, print_line, print_view
 
 
 def show(
@@ -18,7 +18,6 @@ def show(
     all_: Annotated[bool, typer.Option("--all")] = False,
     best_case: BestCase = None,
     as_json: AsJson = False,
-    as_csv: AsCsv = False,
 ) -> None:
     """Show a finished run, one of its pairs, or one object.
 
@@ -39,14 +38,11 @@ def show(
     fidpipe show runs/dataset --best-case runs/dataset-best-case    minus a perfect simulator
 
     fidpipe show runs/dataset 0007 --json | jq '.objects[0].real.r_lambda'
-
-    fidpipe show runs/dataset --csv > pairs.csv    a row per pair; of a pair a row per object and side
     """
-    check_format(as_json, as_csv)
-    if best_case is not None and (pair is not None or as_csv):
-        raise typer.BadParameter("--best-case is about a run; leave out the pair and --csv")
+    if best_case is not None and pair is not None:
+        raise typer.BadParameter("--best-case is about a run; leave out the pair")
 
-    from ..report.views.show_view import show_json, show_rows, show_view
+    from ..report.views.show_view import show_json, show_view
     from ..results.best_case import excess_over
     from ..results.finished import FinishedRun
 
@@ -54,8 +50,6 @@ def show(
     excess = None if best_case is None else excess_over(finished, best_case)
     if as_json:
         print_json(show_json(finished, pair, object_, excess))
-    elif as_csv:
-        print_csv(show_rows(finished, pair, object_))
     else:
         print_view(show_view(finished, pair, object_, excess, with_all=all_))
 

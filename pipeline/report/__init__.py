@@ -1,7 +1,7 @@
 """Pictures and pages from finished tables; computes no new score.
 
-views/ describes each subject as plain data (`view`), `render` shows it in the terminal,
-and rows as CSV. page/ and figures/ draw. They share run_frames (reads a run) and look (colours).
+views/ describes each subject as plain data (`view`), `render` shows it in the terminal, page/ and
+figures/ draw. They share run_frames (reads a run) and look (colours).
 """
 
 import logging

@@ -1,11 +1,7 @@
-"""Views in the terminal, and rows as CSV; templates of the pages show the same parts."""
+"""Views in the terminal; templates of the pages show the same parts."""
 
 from __future__ import annotations
 
-import csv
-import re
-from collections.abc import Sequence
-from io import StringIO
 from textwrap import wrap
 
 from rich.box import SIMPLE_HEAD
@@ -13,13 +9,8 @@ from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderR
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from ...schemas.columns import Row
-from ..terminal import shown
 from .view import COLOURS, Answers, Item, Note, Part, Table, View
 
-#: Beginnings of formulas; the full-width ones in East Asian locales.
-_FORMULA = ("=", "+", "-", "@", "\uff1d", "\uff0b", "\uff0d", "\uff20")
-_NUMBER = re.compile(r"[-+]?[0-9]+(\.[0-9]+)?")
 _INDENT = 14
 _GAP = "   "  #: between words, detail and setting, and before those below the words
 _NARROWEST = 40
@@ -29,28 +20,6 @@ _WHOLE_WORD = 24  #: words up to this length are never cut
 def terminal(view: View) -> RenderableType:
     """A view as rich prints it; no name in it is read as markup."""
     return Group(*map(_in_terminal, view))
-
-
-def csv_text(rows: Sequence[Row]) -> str:
-    """Rows with the same columns as spreadsheets open them (RFC 4180, lines end with a line feed).
-
-    Floats are in full, None is an empty cell. A text that a spreadsheet would take for a formula
-    begins with an apostrophe, unless it is a number.
-
-    Examples
-    --------
-    >>> print(csv_text([{"pair": "=1+1"}, {"pair": "-5"}, {"pair": -0.5}]), end="")
-    pair
-    '=1+1
-    -5
-    -0.5
-    """
-    text = StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(rows[0] if rows else ())
-    for row in rows:
-        writer.writerow(map(_in_spreadsheet, row.values()))
-    return text.getvalue()
 
 
 def _in_terminal(part: Part) -> RenderableType:
@@ -116,12 +85,3 @@ def _item_lines(item: Item, width: int) -> list[str]:
             break_on_hyphens=False,
         )
     return lines
-
-
-def _in_spreadsheet(value: object) -> object:
-    """A cell; a text that begins a formula is marked as text (OWASP, CSV Injection)."""
-    if not isinstance(value, str):
-        return value
-    text = shown(value)
-    is_formula = text.startswith(_FORMULA) and not _NUMBER.fullmatch(text)
-    return f"'{text}" if is_formula else text

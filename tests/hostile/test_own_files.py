@@ -13,7 +13,7 @@ import pytest
 
 from fidpipe.pipeline.datasets.pairs import Dataset
 from fidpipe.pipeline.generate import synth, twin
-from fidpipe.pipeline.report.render import csv_text, terminal
+from fidpipe.pipeline.report.render import terminal
 from fidpipe.pipeline.report.view import Table
 from fidpipe.pipeline.results.best_case import BEST_CASE_DATASET, BEST_CASE_RECIPE, read_recipe
 from fidpipe.pipeline.results.finished import FinishedRun
@@ -238,19 +238,3 @@ def test_no_message_steers_the_terminal(tmp_path):
     done = command("check", folder, code=1)
     assert "\x1b" not in done.stderr
     assert done.stderr.count("\n") == 1
-
-
-def test_no_cell_begins_a_formula():
-    names = ["=cmd|' /C calc'!A0", "+1+1", "-1+1", "@sum(A1)", "\t=1", "-5", "+2.5", "plain"]
-    text = csv_text([{"pair": name} for name in names])
-    cells = [line.strip('"') for line in text.splitlines()[1:]]
-    assert cells == [
-        "'=cmd|' /C calc'!A0",
-        "'+1+1",
-        "'-1+1",
-        "'@sum(A1)",
-        "\\u0009=1",
-        "-5",
-        "+2.5",
-        "plain",
-    ]

@@ -1,7 +1,6 @@
 """One view in each medium: what is bold, coloured, listed or left out, and names that no cell can break."""
 
 from fidpipe.pipeline.report.page.page_templates import _environment
-from fidpipe.pipeline.report.render import csv_text
 from fidpipe.pipeline.report.view import Answers, Note, Table, shortened
 from reports import text_of
 
@@ -61,28 +60,11 @@ def test_a_page_has_every_column_and_no_name_as_markup():
     assert '<p class="note">note: one</p>' in page
 
 
-def test_csv_has_numbers_in_full():
-    assert csv_text([{"pair": "x", "CDC": 0.51249, "p": None}]) == "pair,CDC,p\nx,0.51249,\n"
-
-
 def test_answers_stand_by_their_headings():
     answers = [
         Answers([("Next", [("go", "", "")]), ("Fix first", [("1  a", "b", "c"), ("2  d", "", "")])])
     ]
     assert text_of(answers).splitlines()[0] == "Next          go"
-
-
-def test_csv_holds_what_a_name_may_hold():
-    cells = [
-        ["a|b\nc", None, 0.5],
-        ['=1,"', 2, None],
-        ["<b>![i](//x)", 1, 0.0],
-        ["\uff1d1", 1, 0.0],
-    ]
-    rows = [dict(zip(("pair", "n", "CDC"), row, strict=True)) for row in cells]
-    assert csv_text(rows) == (
-        'pair,n,CDC\na|b\\u000ac,,0.5\n"\'=1,""",2,\n<b>![i](//x),1,0.0\n\'\uff1d1,1,0.0\n'
-    )
 
 
 def test_short_names_stay_as_they_are_and_shortened_ones_differ():

@@ -219,7 +219,8 @@ def scores_table(comparison: Comparison, *, with_all: bool) -> Table:
         verdict = family.called
         for score in family.scores if with_all else family.scores[:1]:
             change = score.difference
-            numbers = (change.before, change.after, _interval(change), score.p)
+            p = "<0.001" if score.p is not None and score.p < 0.001 else score.p
+            numbers = (change.before, change.after, _interval(change), p)
             rows.append((family.name, verdict, f"{score.name} {score.mark}", *numbers))
             verdict = ""
     headings = ("family", "verdict", "score", "before", "after", "change, 95 %", "p")

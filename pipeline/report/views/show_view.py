@@ -71,17 +71,6 @@ def show_json(
     return pair_values(run, pair) if name is None else pair_object(run, pair, name)
 
 
-def show_rows(run: FinishedRun, pair: str | None, name: str | None) -> list[Row]:
-    """Rows for programs: one per pair of a run, or per object and side of a pair."""
-    if pair is None:
-        return run.rows
-    objects = pair_values(run, pair)["objects"] if name is None else [pair_object(run, pair, name)]
-    rows: list[Row] = []
-    for of_sides in objects:
-        rows += filter(None, of_sides.values())
-    return rows
-
-
 def pair_view(values: Mapping[str, Any], *, with_all: bool = False) -> View:
     """A sentence on a pair, its sides, its rays, its matched objects worst first, the unmatched.
 
