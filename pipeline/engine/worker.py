@@ -176,13 +176,15 @@ class JobRunner:
         parts = [part[job.name] for part in rows]
         steps = Steps(chain.from_iterable(seconds for _, seconds in parts))
         inputs = self._inputs(job, steps)
-        made = _joined([tables for tables, _ in parts]) if parts else job.stage.make(inputs)
+        if job.stage.grain is Grain.OBJECT and not self._objects:
+            tables = [tables for tables, _ in parts] or [job.stage.make(inputs).tables]
+            made = _gathered(job, inputs, tables)
+        else:
+            made = job.stage.make(inputs)
         if self._objects:
             self.result.scored[job.name] = made.tables, steps.total()
             self.plan = self.plan.after([self._record(job, made)])
         else:
-            if job.stage.grain is Grain.OBJECT:
-                made = _gathered(job, inputs, made)
             self._finish(job, made, steps)
         self.tables |= {(name, job.part): table for name, table in made.tables.items()}
 
@@ -285,18 +287,11 @@ class JobRunner:
         )
 
 
-def _joined(parts: Sequence[Tables]) -> JobResult:
-    """The rows of several parts of the same tables."""
-    tables = {}
-    for name in parts[0]:
-        tables[name] = pa.concat_tables([part[name] for part in parts])
-    return JobResult(tables)
-
-
-def _gathered(job: Job, inputs: Inputs, made: JobResult) -> JobResult:
+def _gathered(job: Job, inputs: Inputs, parts: Sequence[Tables]) -> JobResult:
     """The rows of all objects, in the order of the table's keys."""
     tables = {}
-    for name, rows in made.tables.items():
+    for name in parts[0]:
+        rows = pa.concat_tables([part[name] for part in parts])
         keys = [(key, "ascending") for key in TABLES[name].keys]
         tables[name] = rows.sort_by(keys).combine_chunks()
     metadata = job.stage.gather(inputs, tables) if job.stage.gather is not None else {}
