@@ -25,7 +25,7 @@ from ..stages.ground import peaks_note
 from .datasets.content import input_hashes
 from .datasets.pairing import require_partners
 from .datasets.pairs import Dataset, ScanPair, read_dataset
-from .engine.engine import Machines, large_pairs_warnings, schedule_of, started_pool
+from .engine.engine import Machines, large_pairs_warnings, started_schedule
 from .engine.plan import OUT_OF_DATE, PairPlan, plan_jobs, plan_pair, with_results
 from .engine.progress import Reporter
 from .engine.schedule import Collector, Schedule
@@ -241,15 +241,23 @@ class Run:
     @contextmanager
     def schedule(self, machines: Machines) -> Iterator[Schedule]:
         """Context with the jobs to do, for which workers run; stale results are removed first."""
-        with started_pool(self.todo, self.folder, self.stages, self.settings, machines) as pool:
+        with started_schedule(
+            self.todo,
+            self.n_todo,
+            self._plan,
+            self.collector,
+            self.stages,
+            self.settings,
+            machines,
+        ) as schedule:
             if self.todo or self.stale:
                 self._write_record(self._header())
                 changes = what_changed(self.before, self.settings, self.stages)
                 remove_stale(self.stale, self.folder, self.reporter, changes)
             if self.todo:
-                self.n_workers = pool.n_workers
+                self.n_workers = schedule.pool.n_workers
             self.reporter.warn(*large_pairs_warnings(self.todo, self.contents, self.settings.input))
-            yield schedule_of(pool, self.todo, self.n_todo, self._plan, self.collector, machines)
+            yield schedule
 
     def _hash_files(self) -> None:
         """Hash the files of the selected pairs and of those with results."""

@@ -49,40 +49,6 @@ class ScoreSummary(Result):
     n_pairs: int
 
 
-class Distribution(Result):
-    """Number of some values, their quantiles, mean, standard deviation (n - 1); null for too few.
-
-    cv : coefficient of variation, std / mean
-    """
-
-    n: int
-    min: float | None
-    q05: float | None
-    q25: float | None
-    median: float | None
-    q75: float | None
-    q95: float | None
-    max: float | None
-    mean: float | None
-    std: float | None
-    cv: float | None
-
-
-class RankCorrelation(Result):
-    """Spearman's rho and Kendall's tau-b of two scores over n objects; null for fewer than 3 or constant scores."""
-
-    n: int
-    spearman: float | None
-    kendall: float | None
-
-
-class DensityRatio(Distribution):
-    """Distribution of n_sim / n_real over the matched objects, and the shares below a quarter and above four."""
-
-    share_below_quarter: float | None
-    share_above_four: float | None
-
-
 class ObjectGroup(Result):
     """The objects of all pairs in a range band or of a class; a matched object has the class of its real side.
 
@@ -91,7 +57,7 @@ class ObjectGroup(Result):
     n_not_found, n_extra : those of them that the other side lacks
     n_real_points, n_sim_points : of these objects
     missing_share, invented_share : of these points, those without a counterpart within 0.3 m; null without points
-    scores : of cdc, r_lambda, r_gap, over the matched real objects
+    scores : means of cdc, r_lambda, r_gap over the matched real objects; null if none has it
     """
 
     by: str
@@ -104,25 +70,17 @@ class ObjectGroup(Result):
     missing_share: float | None
     n_sim_points: int
     invented_share: float | None
-    scores: dict[str, Distribution]
+    scores: dict[str, float | None]
 
 
 class Findings(Result):
-    """Summary of the objects of all pairs: the numbers of the paper's section "Real experiments".
+    """The objects of all pairs together, and the places of the pairs.
 
-    distributions : of cdc, r_lambda, r_gap, over all matched objects
-    median_matched_m, median_unmatched_m : distance from the sensor; unmatched objects of both sides, each by its own
-    groups : by range, then by class, the class with most objects first
+    groups : objects by range, then by class, the class with most objects first
     n_places : independent places: copies and neighbouring frames count once
     places : by scored pair, the number of its place
     """
 
-    n_matched: int
-    distributions: dict[str, Distribution]
-    rank_correlation: RankCorrelation
-    density_ratio: DensityRatio
-    median_matched_m: float | None
-    median_unmatched_m: float | None
     groups: tuple[ObjectGroup, ...]
     n_places: int
     places: dict[str, int]

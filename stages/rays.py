@@ -11,7 +11,7 @@ from ..schemas.results import Number
 from .arrays import BoolArray, FloatArray, IndexArray, IntArray
 from .linalg.nearest import search_tree
 from .sensor_description import SensorDescription
-from .statistics.findings import BAND_EDGES_M
+from .statistics.bands import BAND_EDGES_M
 
 #: What became of a ray. Both sides returned: ranges agree, or the simulated return is nearer or farther. Only the real
 #: side returned: with or without simulated surface near its return. Only the simulated side returned; neither did.

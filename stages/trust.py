@@ -25,6 +25,8 @@ SAME_SWEEPS = "same_sweeps"
 FRAME = "frame"
 #: Needed by causes of the angles: coordinates that are finer than a centimetre.
 FINE = "fine_coordinates"
+#: Needed by the noise of the elevation: beams that are not blurred by a tilt of the simulated side.
+UPRIGHT = "upright"
 #: Of both sides: azimuth steps without a doubtful ratio; no side cropped to a box; road on the simulated side.
 STEPS, UNCROPPED, ROAD = "azimuth_steps", "uncropped", "road"
 #: Doubts that make `fidpipe check` fail.

@@ -10,7 +10,6 @@ import typer
 
 from .options import (
     EXIT_GATE_FAILED,
-    AsCsv,
     AsJson,
     Assignments,
     BestCase,
@@ -19,10 +18,9 @@ from .options import (
     RunFolder,
     SettingsFile,
     Workers,
-    check_format,
     machines_of,
 )
-from .output import print_csv, print_json, print_view
+from .output import print_json, print_view
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -90,7 +88,6 @@ def compare(
     html: OutFile = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR")] = None,
     as_json: AsJson = False,
-    as_csv: AsCsv = False,
     fail_on: Literal["worse", "undecided"] | None = None,
     undecided_ok: bool = False,
     allow_different_settings: bool = False,
@@ -137,13 +134,12 @@ def compare(
     from ...schemas.settings import load
     from ..builds import runs_of
     from ..engine.progress import Reporter
-    from ..report.views.compare_view import compare_rows, compare_view
+    from ..report.views.compare_view import compare_view
     from ..report.views.gate_view import base_view
     from ..results.compare import compare_runs
     from ..results.gate import judge_comparison
     from ..storage.files import write_whole
 
-    check_format(as_json, as_csv)
     if undecided_ok and fail_on != "worse":
         raise typer.BadParameter("--undecided-ok is for --fail-on worse")
     _check_runs(runs, has_settings=bool(settings or assignments or preset != "reference"))
@@ -166,8 +162,6 @@ def compare(
         results = [judge_comparison(c, fail_on, undecided_ok=undecided_ok) for c in comparisons]
     if as_json:
         print_json([result.as_dict() for result in results or comparisons])
-    elif as_csv:
-        print_csv(compare_rows(comparisons))
     else:
         views = [compare_view(comparison, with_all=all_) for comparison in comparisons]
         print_view([*chain(*views, *map(base_view, results))])

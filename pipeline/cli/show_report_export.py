@@ -43,12 +43,8 @@ def show(
     fidpipe show runs/dataset --csv > pairs.csv    a row per pair; of a pair a row per object and side
     """
     check_format(as_json, as_csv)
-    if all_ and object_ is not None:
-        raise typer.BadParameter("--all is about a run or a pair; leave out the object")
-    if best_case is not None and pair is not None:
-        raise typer.BadParameter("--best-case is about the scores of a run; leave out the pair")
-    if as_csv and (all_ or best_case is not None):
-        raise typer.BadParameter("--csv has all rows; leave out --all and --best-case")
+    if best_case is not None and (pair is not None or as_csv):
+        raise typer.BadParameter("--best-case is about a run; leave out the pair and --csv")
 
     from ..report.views.show_view import show_json, show_rows, show_view
     from ..results.best_case import excess_over

@@ -8,7 +8,7 @@ from ...schemas.errors import RunError
 from ...schemas.results import Diagnosis
 from ...schemas.settings import parse
 from ..datasets.pairs import ScanPair
-from ..engine.engine import Machines, schedule_of, started_pool
+from ..engine.engine import Machines, started_schedule
 from ..engine.plan import OUT_OF_DATE, PairPlan, plan_jobs, plan_on_results
 from ..engine.progress import Reporter
 from ..engine.schedule import Collector
@@ -48,9 +48,11 @@ def diagnose_run(folder: Path, reporter: Reporter, machines: Machines | None = N
     with run.store.locked():
         todo, stale = _survey(run, plan_pair, stage)
         collector = Collector(run.store, reporter)
-        with started_pool(todo, run.store, (stage,), settings, machines) as pool:
+        with started_schedule(
+            todo, len(todo), plan_pair, collector, (stage,), settings, machines
+        ) as schedule:
             remove_stale(stale, run.store, reporter, ["the causes changed"])
-            schedule_of(pool, todo, len(todo), plan_pair, collector, machines).run()
+            schedule.run()
     if collector.failures:
         reasons = [f"pair {name}: {reason}" for name, reason in collector.failures.items()]
         raise RunError(f"run {folder}: {'; '.join(reasons)}")

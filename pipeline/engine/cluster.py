@@ -25,7 +25,7 @@ from time import monotonic
 from typing import Any
 
 from ...schemas.errors import RunError, StoreError
-from ..storage.run_record import library_versions
+from ..storage.run_record import LIBRARIES, library_versions
 from ..storage.table_files import TableFolder
 from . import costs, prefork
 from .pool import (
@@ -419,8 +419,9 @@ def worker_fault(required: Requirements) -> str:
 
 
 def code_versions(libraries: Iterable[str]) -> dict[str, str]:
-    """Versions of libraries, and a hash of fidpipe's code."""
-    return library_versions(libraries) | {_CODE: code_hash()}
+    """Versions of fidpipe and of its libraries, of other libraries, and a hash of fidpipe's code."""
+    names = ("fidpipe", *LIBRARIES, *libraries)
+    return library_versions(names) | {_CODE: code_hash()}
 
 
 @cache

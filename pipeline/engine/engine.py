@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import chain
 
 from ...schemas.errors import FidpipeError
 from ...schemas.settings import InputSettings, Settings
@@ -15,8 +16,6 @@ from ..datasets.content import ScanContent
 from ..datasets.pairs import ScanPair, may_crash
 from ..datasets.readers import read_scan
 from ..stage import Stage
-from ..storage.folder import RunFolder
-from ..storage.run_record import LIBRARIES
 from . import costs
 from .plan import PairPlan, with_results
 from .pool import Pool
@@ -43,81 +42,61 @@ class Machines:
 
 
 @contextmanager
-def started_pool(
-    pairs: Sequence[ScanPair],
-    folder: RunFolder,
-    stages: Sequence[Stage],
-    settings: Settings,
-    machines: Machines,
-) -> Iterator[Pool]:
-    """Context with a pool for the jobs of some pairs, which ends with it, even if tasks are running.
-
-    Without pairs it is this process; a reader that may end its process never runs in the command's
-    own.
-
-    Parameters
-    ----------
-    stages : all stages whose jobs may be planned
-    """
-    if not pairs:
-        yield Pool()
-        return
-    from .cluster import Requirements, code_versions, start_pool
-
-    required = None
-    if machines.scheduler:
-        libraries = ["fidpipe", *LIBRARIES]
-        for stage in stages:
-            libraries += stage.libraries
-        required = Requirements(code_versions(libraries), folder.for_workers(share_disk=False))
-        required.tables.put_token()
-    is_risky = required is None and may_crash(pairs)
-    pool = start_pool(
-        machines.workers,
-        settings.machine.memory_gib,
-        {stage.make.__module__ for stage in stages},
-        may_end_workers=machines.pair_timeout_s is not None or is_risky,
-        address=machines.scheduler,
-        required=required,
-    )
-    try:
-        yield pool
-    finally:
-        pool.close()
-
-
-def schedule_of(
-    pool: Pool,
+def started_schedule(
     todo: Sequence[ScanPair],
     n_jobs: int,
     plan_pair: PlanPair,
     collector: Collector,
+    stages: Sequence[Stage],
+    settings: Settings,
     machines: Machines,
-) -> Schedule:
-    """The schedule of all jobs of some pairs that are not done.
+) -> Iterator[Schedule]:
+    """Context with the schedule of jobs, whose workers end with it, even if tasks are running.
+
+    Without pairs there are no workers; a reader that may end its process never runs in the
+    command's own.
 
     Parameters
     ----------
+    todo : pairs that have jobs to do
     n_jobs : number of these jobs
     plan_pair : returns the plan of a pair
     collector : receives the results
+    stages : all stages whose jobs may be planned
     """
-    plans = _plans_for_workers(todo, plan_pair, collector.folder, machines)
-    return Schedule(pool, plans, len(todo), n_jobs, collector)
+    tables = collector.folder.for_workers(share_disk=machines.scheduler is None)
+    pool = Pool()
+    if todo:
+        from .cluster import Requirements, code_versions, start_pool
 
+        required = None
+        if machines.scheduler:
+            libraries = chain.from_iterable(stage.libraries for stage in stages)
+            required = Requirements(code_versions(libraries), tables)
+            tables.put_token()
+        is_risky = required is None and may_crash(todo)
+        pool = start_pool(
+            machines.workers,
+            settings.machine.memory_gib,
+            {stage.make.__module__ for stage in stages},
+            may_end_workers=machines.pair_timeout_s is not None or is_risky,
+            address=machines.scheduler,
+            required=required,
+        )
 
-def _plans_for_workers(
-    pairs: Iterable[ScanPair], plan_pair: PlanPair, folder: RunFolder, machines: Machines
-) -> Iterator[PairPlan]:
-    """The plans of pairs with their time limit, and with the tables as workers see them."""
-    tables = folder.for_workers(share_disk=machines.scheduler is None)
-    for i, pair in enumerate(pairs):
-        plan, _ = with_results(plan_pair(pair), folder)
-        plan = replace(plan, tables=tables)
-        if machines.pair_timeout_s is not None:
-            notes = folder.folder / NOTES / str(i)
-            plan = replace(plan, limit=TimeLimit(machines.pair_timeout_s, notes))
-        yield plan
+    def plans() -> Iterator[PairPlan]:
+        for i, pair in enumerate(todo):
+            limit = None
+            if machines.pair_timeout_s is not None:
+                notes = collector.folder.folder / NOTES / str(i)
+                limit = TimeLimit(machines.pair_timeout_s, notes)
+            plan, _ = with_results(plan_pair(pair), collector.folder)
+            yield replace(plan, tables=tables, limit=limit)
+
+    try:
+        yield Schedule(pool, plans(), len(todo), n_jobs, collector)
+    finally:
+        pool.close()
 
 
 def large_pairs_warnings(

@@ -155,7 +155,7 @@ class Schedule:
         n_jobs: int,
         collector: Collector,
     ) -> None:
-        self._pool = pool
+        self.pool = pool
         self._collector = collector
         self._pending = iter(plans)
         self._n_pending = n_pairs
@@ -178,7 +178,7 @@ class Schedule:
         try:
             self._fill()
             while self._running:
-                handle, outcome = self._pool.next_done()
+                handle, outcome = self.pool.next_done()
                 task = self._running.pop(handle)
                 is_lost = isinstance(outcome, WorkerDied)
                 results = [outcome] * len(task) if is_lost else outcome
@@ -213,7 +213,7 @@ class Schedule:
 
     def _window(self) -> int:
         """Number of pairs that may be worked on at the same time."""
-        return PAIRS_PER_WORKER * self._pool.n_workers
+        return PAIRS_PER_WORKER * self.pool.n_workers
 
     def _begin(self, pair: _Pair) -> None:
         self._active[pair.plan.pair_id] = pair
@@ -277,7 +277,7 @@ class Schedule:
         has_objects = any(job.stage.grain is Grain.OBJECT for job in pair.plan.todo)
         if has_objects and largest > self._object_share(plan):
             return True  # its objects are admitted one by one
-        if self._pool.n_workers == 1:
+        if self.pool.n_workers == 1:
             return plan.n_points > LONG_PAIR
         is_large = costs.side_seconds(plan.n_points) > WORTH_SPLITTING_S
         return is_large and self._n_pending + len(self._active) <= self._window()
@@ -349,7 +349,7 @@ class Schedule:
 
     def _admit(self) -> None:
         """Submit queued tasks in their order, as long as those that may run at once fit into the memory."""
-        n_workers = self._pool.n_workers
+        n_workers = self.pool.n_workers
         while self._waiting and len(self._running) < _TASKS_PER_WORKER * n_workers:
             task = self._waiting[0]
             needs = [_most_bytes(each) for each in (task, *self._running.values())]
@@ -357,19 +357,19 @@ class Schedule:
                 return
             self._waiting.popleft()
             batches = [batch for _, batch in task]
-            self._running[self._pool.submit(run_batch, batches)] = task
+            self._running[self.pool.submit(run_batch, batches)] = task
 
     def _usable(self) -> int:
         """Bytes available to batches, of all workers together."""
-        return max(0, self._pool.memory.together - costs.PROCESS_BYTES * self._pool.n_workers)
+        return max(0, self.pool.memory.together - costs.PROCESS_BYTES * self.pool.n_workers)
 
     def _object_share(self, plan: PairPlan) -> int:
         """Bytes that an object may need for its pair to run as one batch."""
-        return max(0, self._usable() // self._pool.n_workers - costs.pair_bytes(plan.n_points))
+        return max(0, self._usable() // self.pool.n_workers - costs.pair_bytes(plan.n_points))
 
     def _why_too_large(self, plan: PairPlan) -> str | None:
         """Reason why the rest of a pair does not fit into the memory even if nothing else runs; None if it fits."""
-        usable = max(0, self._pool.memory.alone - costs.PROCESS_BYTES)
+        usable = max(0, self.pool.memory.alone - costs.PROCESS_BYTES)
         need = plan.bytes_needed(with_objects=True)
         if need <= usable:
             return None

@@ -71,19 +71,17 @@ def remove_stale(
     stale : finished jobs whose results are no longer needed, each with the reason
     changes : since the last run, as text
     """
-    by_reason: defaultdict[str, list[JobName]] = defaultdict(list)
-    for name, reason in stale.items():
-        by_reason[reason].append(name)
-    for reason, names in by_reason.items():
+    jobs_of_pairs: defaultdict[str, set[JobId]] = defaultdict(set)
+    for stage, pair_id, part in stale:
+        jobs_of_pairs[pair_id].add((stage, part))
+    for reason in dict.fromkeys(stale.values()):
         why = reason
         if reason == OUT_OF_DATE:
             why = f"{reason} ({'; '.join(changes) or 'the input files or libraries changed'})"
+        names = [name for name in stale if stale[name] == reason]
         reporter.say(f"replacing {jobs_in_words(names)}: {why}")
-        jobs_of_pairs: defaultdict[str, set[JobId]] = defaultdict(set)
-        for stage, pair_id, part in names:
-            jobs_of_pairs[pair_id].add((stage, part))
-        for pair_id, jobs in jobs_of_pairs.items():
-            folder.forget(pair_id, jobs)
+    for pair_id, jobs in jobs_of_pairs.items():
+        folder.forget(pair_id, jobs)
     n_strays = folder.remove_strays()
     if n_strays:
         reporter.say(f"removing files that no finished job accounts for: {n_strays}")

@@ -67,7 +67,7 @@ def _object_tables(
     columns = ("object", "scan", "id", "points", "range (m)")
     fields = ("name", "pair_id", "community_id", "n_points", "range_m")
     rows = columns_of(chosen, fields)
-    tables = [Table("The chosen objects", columns, rows, words=(0, 1), digits={4: 1})]
+    tables = [Table("The chosen objects", columns, rows, words=(0, 1))]
     names = {values["name"]: values["name"] for values in chosen}
     for metric in ("r_lambda", "r_gap"):
         title = f"{metric} of single objects ({METRIC[metric].scale}): mean ± std"

@@ -21,8 +21,6 @@ from ...stages.pieces import CutScan, label_pieces
 from ..results.finished import FinishedRun
 from ..results.overview import NO_LABEL
 
-_PAD_M = 0.3
-
 
 @dataclass(frozen=True, eq=False)
 class RunResults:
@@ -145,11 +143,6 @@ def points_of(run: FinishedRun, pair_id: str) -> dict[str, pd.DataFrame]:
 def coordinates(points: pd.DataFrame) -> FloatArray:
     """Coordinates of points, (n, 3) float64 metres, in the real sensor's frame."""
     return points[["x", "y", "z"]].to_numpy()
-
-
-def box_around(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lowest and highest corner, (3,) each, of a box around points, with 0.3 m to spare."""
-    return points.min(axis=0) - _PAD_M, points.max(axis=0) + _PAD_M
 
 
 def inside(points: FloatArray, low: FloatArray, high: FloatArray) -> BoolArray:

@@ -24,8 +24,8 @@ from ...stages.causes.pose import fit_pose
 from ...stages.causes.sides import Side, recorded_side
 from ...stages.frame_search import FrameCheck
 from ...stages.sensor_description import SensorDescription
+from ...stages.statistics.bands import evenly
 from ...stages.statistics.comparison import block_means
-from ...stages.statistics.findings import evenly
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
 from ..jobs.gains_job import SEED

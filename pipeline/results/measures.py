@@ -30,8 +30,6 @@ from ...schemas.metric_catalogue import (
     TASK_SCORES,
 )
 from ...schemas.results import Unknown
-from ...stages.arrays import FloatArray
-from ...stages.statistics.findings import distribution
 from ..datasets.content import input_hashes
 from ..datasets.pairs import Dataset, local_folder, read_dataset
 from .best_case import RunExcess
@@ -41,7 +39,8 @@ from .odometry import compare_odometry
 if TYPE_CHECKING:
     import pandas as pd
 
-STATISTICS = ("mean", "std", "min", "q05", "q25", "median", "q75", "q95", "max")
+_QUANTILES = {"min": 0, "q05": 0.05, "q25": 0.25, "median": 0.5, "q75": 0.75, "q95": 0.95, "max": 1}
+STATISTICS = ("mean", "std", *_QUANTILES)
 #: Of the double validation metric, over objects where a score has them.
 OF_DISTRIBUTIONS = ("bias", "area")
 COUNTS = ("total", "mean", "min", "max", "share")
@@ -129,7 +128,7 @@ class Measures:
         column = _COLUMNS[score]
         if column not in self.run.scores:
             raise _AbsentError(f"the run has no {score}; add it with fidpipe run --tasks")
-        return _statistic(self.run.scores[column].to_numpy(), stat, "pair", score)
+        return _statistic(self.run.scores[column], stat, "pair", score)
 
     def _over_best_case(self, score: str, stat: str) -> float:
         if self._excess is None:
@@ -137,15 +136,17 @@ class Measures:
                 f"criterion 'excess.{score}.{stat}': needs a best case; add --best-case RUN"
             )
         column = _COLUMNS[score]
-        values = self._excess.of_pairs[column].to_numpy()
-        if stat in OF_DISTRIBUTIONS:
-            values = np.array([self._excess.scores[column][stat]], dtype=np.float64)
-            stat = "mean"
-        return _statistic(values, stat, "pair", f"{score} in both runs")
+        score = f"{score} in both runs"
+        if stat not in OF_DISTRIBUTIONS:
+            return _statistic(self._excess.of_pairs[column], stat, "pair", score)
+        value: float | None = self._excess.scores[column][stat]
+        if value is None:
+            raise _AbsentError(f"no pair has a {score}")
+        return value
 
     def _of_objects(self, label: str | None, score: str, stat: str) -> float:
         objects = self._objects_of("real", label)
-        scores = objects.loc[objects["fate"] == "matched", score].to_numpy()
+        scores = objects.loc[objects["fate"] == "matched", score]
         what = "matched object" if label is None else f"matched object of class {label}"
         return _statistic(scores, stat, what, score)
 
@@ -243,14 +244,15 @@ class Measures:
             raise _AbsentError(str(error)) from error
 
 
-def _statistic(values: FloatArray, stat: str, what: str, score: str) -> float:
-    spread = distribution(values)
-    if not spread.n:
+def _statistic(values: pd.Series[float], stat: str, what: str, score: str) -> float:
+    known = values.dropna()
+    if known.empty:
         raise _AbsentError(f"no {what} has a {score}")
-    value: float | None = getattr(spread, stat)
-    if value is None:
+    if stat in _QUANTILES:
+        return float(known.quantile(_QUANTILES[stat]))
+    if stat == "std" and len(known) == 1:
         raise _AbsentError(f"only one {what} has a {score}")
-    return value
+    return float(known.agg(stat))
 
 
 def _either(name: str, words: Iterable[str]) -> str:

@@ -1,7 +1,6 @@
 """The overview of a run: what to fix first, the largest missing and invented pieces, and limits to the trust in them.
 
-And the findings over the objects of all pairs, the numbers of the paper's section "Real experiments": counts and
-distributions pool the objects; means over pairs are in `stages.summary`.
+And the findings: the objects of all pairs together by range and by class; means over pairs are in `stages.summary`.
 """
 
 from __future__ import annotations
@@ -24,19 +23,16 @@ from ...schemas.record import (
 )
 from ...schemas.results import (
     Caution,
-    DensityRatio,
-    Distribution,
     Findings,
     ObjectGroup,
     Overview,
     Piece,
-    RankCorrelation,
 )
 from ...schemas.tables import TABLES
 from ...stages.arrays import BoolArray, FloatArray
+from ...stages.statistics.bands import BAND_NAMES
 from ...stages.statistics.comparison import LEAST_PAIRS
-from ...stages.statistics.findings import BAND_NAMES, distribution
-from ...stages.summary import median_of
+from ...stages.summary import mean_and_std
 from ..storage.files import path_exists
 from ..storage.folder import RunFolder
 from ..storage.run_record import as_options
@@ -67,12 +63,9 @@ BAD_ALIGNMENT_WORDS = (
 )
 NO_LABEL = "(no label)"
 _KEYS = ["pair", "side", "fate", "n_points"]
-#: The paper: n_sim is from under a quarter to over four times n_real.
-SPARSE_RATIO = 0.25
-DENSE_RATIO = 4.0
 #: Requested columns of the frame of objects.
 _COLUMNS = (
-    *("range_m", "band", "label", "covered_0p3m", "n_real", "n_sim"),
+    *("band", "label", "covered_0p3m"),
     *(*DISTRIBUTED, "alignment_rms_m", "diagonal_m"),
 )
 
@@ -120,7 +113,8 @@ def describe_objects(
     objects["label"] = objects["label"].fillna("")
     blocks = find_places(store, pair_ids, hashes, timestamps_s)
     places = dict(zip(pair_ids, blocks.tolist(), strict=True))
-    findings = summarise_objects(objects, places)
+    groups = tuple(object_groups(objects))
+    findings = Findings(groups=groups, n_places=len(set(places.values())), places=places)
     causes = read_causes(store, pair_ids)
     named, small = named_and_small(causes, blocks)
     overview = Overview(
@@ -134,55 +128,13 @@ def describe_objects(
     return findings, overview
 
 
-def summarise_objects(objects: pd.DataFrame, places: Mapping[str, int]) -> Findings:
-    """Compute distributions, density ratios, correlation and groups; None for missing values.
+def object_groups(objects: pd.DataFrame) -> Iterator[ObjectGroup]:
+    """The objects by range, then by class, the class with most objects first.
 
     Parameters
     ----------
     objects : of both sides without remnants, with `_COLUMNS`; label is "" if an object has none
-    places : by pair, the number of its place
     """
-    is_matched = objects["fate"] == "matched"
-    matched = objects[is_matched & (objects["side"] == "real")]
-    return Findings(
-        n_matched=len(matched),
-        distributions=_distributions(matched),
-        rank_correlation=rank_correlation(
-            matched["cdc"].to_numpy(), matched["r_lambda"].to_numpy()
-        ),
-        density_ratio=density_ratio((matched["n_sim"] / matched["n_real"]).to_numpy()),
-        median_matched_m=median_of(matched["range_m"].to_numpy()),
-        median_unmatched_m=median_of(objects.loc[~is_matched, "range_m"].to_numpy()),
-        groups=tuple(_groups(objects)),
-        n_places=len(set(places.values())),
-        places=dict(places),
-    )
-
-
-def rank_correlation(a: FloatArray, b: FloatArray) -> RankCorrelation:
-    """Spearman's rho and Kendall's tau-b of the objects with both scores; None for fewer than 3 or constant scores."""
-    from scipy.stats import kendalltau, spearmanr  # takes long to load
-
-    both = ~(np.isnan(a) | np.isnan(b))
-    a = a[both]
-    b = b[both]
-    if len(a) < 3 or np.ptp(a) == 0 or np.ptp(b) == 0:
-        return RankCorrelation(n=len(a), spearman=None, kendall=None)
-    spearman = float(spearmanr(a, b).statistic)
-    return RankCorrelation(n=len(a), spearman=spearman, kendall=float(kendalltau(a, b).statistic))
-
-
-def density_ratio(ratio: FloatArray) -> DensityRatio:
-    """Distribution of n_sim / n_real, and the shares below a quarter and above four; None without objects."""
-    return DensityRatio(
-        **vars(distribution(ratio)),
-        share_below_quarter=float(np.mean(ratio < SPARSE_RATIO)) if len(ratio) else None,
-        share_above_four=float(np.mean(ratio > DENSE_RATIO)) if len(ratio) else None,
-    )
-
-
-def _groups(objects: pd.DataFrame) -> Iterator[ObjectGroup]:
-    """The objects by range, then by class, the class with most objects first."""
     for band, name in enumerate(BAND_NAMES):
         yield _group("range", name, objects[objects["band"] == band])
     sizes = objects[objects["label"] != ""].groupby("label").size()
@@ -204,12 +156,8 @@ def _group(by: str, name: str, objects: pd.DataFrame) -> ObjectGroup:
         missing_share=_uncovered_share(real),
         n_sim_points=int(sim["n_points"].sum()),
         invented_share=_uncovered_share(sim),
-        scores=_distributions(matched),
+        scores={name: mean_and_std(matched[name].to_numpy())[0] for name in DISTRIBUTED},
     )
-
-
-def _distributions(matched: pd.DataFrame) -> dict[str, Distribution]:
-    return {name: distribution(matched[name].to_numpy()) for name in DISTRIBUTED}
 
 
 def _uncovered_share(objects: pd.DataFrame) -> float | None:

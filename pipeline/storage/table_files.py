@@ -63,31 +63,28 @@ class StoredFile:
 
     def is_at(self, path: Path) -> bool:
         """True if the file at a path is as it was written, and not a link; hashed only if length or time differ."""
-        try:
-            status = path.lstat()
-            is_same = (status.st_size, status.st_mtime_ns) == (self.size, self.mtime_ns)
-            return (is_same and stat.S_ISREG(status.st_mode)) or self.read(path) is not None
-        except (
-            OSError
-        ):  # the disk or the user's rights do not allow to read it: it can be recomputed
-            return False
+        status = self._status(path)
+        is_same = status is not None and status.st_mtime_ns == self.mtime_ns
+        return is_same or self.read(path) is not None
 
     def read(self, path: Path) -> bytes | None:
-        """The content as it was written; None if the file is missing, a link, or has another content.
+        """The content as it was written; None if the file is a link, has another content, or cannot be read."""
+        if self._status(path) is None:
+            return None
+        try:
+            content = path.read_bytes()
+        except OSError:
+            return None
+        return content if hashlib.sha256(content).hexdigest() == self.sha256 else None
 
-        Raises
-        ------
-        OSError
-            The file cannot be read.
-        """
+    def _status(self, path: Path) -> os.stat_result | None:
+        """Of the file at a path, if it has the right length and is not a link."""
         try:
             status = path.lstat()
-        except FileNotFoundError:
+        except OSError:
             return None
-        if status.st_size != self.size or not stat.S_ISREG(status.st_mode):
-            return None
-        content = path.read_bytes()
-        return content if hashlib.sha256(content).hexdigest() == self.sha256 else None
+        is_like = status.st_size == self.size and stat.S_ISREG(status.st_mode)
+        return status if is_like else None
 
 
 @dataclass
@@ -250,10 +247,7 @@ class TableFolder:
             It cannot be read there.
         """
         path = self.folder / name
-        try:
-            content = stored.read(path)
-        except OSError as error:
-            raise self.damaged(name, error.strerror or str(error)) from error
+        content = stored.read(path)
         if content is None and self.url:
             content = read_object(f"{self.url}/{name}")
             content = content if hashlib.sha256(content).hexdigest() == stored.sha256 else None

@@ -22,6 +22,7 @@ from ..trust import (
     SAME_SWEEPS,
     STEPS,
     UNCROPPED,
+    UPRIGHT,
     cropped_box,
 )
 from .beams import blurred_elevation_deg, road_blur_deg2, second_returns
@@ -58,6 +59,8 @@ _SPARSE, _SPARSE_PARTS = 0.3, 0.05  # of the real returns; of the real points
 _OTHER_VIEW_DEG = 45.0
 _LOW_SHARE = 0.1  # of the points, below all those of the other side
 _ALIKE = 0.05  # azimuth steps
+_TILTS = [PARAMETERS.index("roll"), PARAMETERS.index("pitch")]
+_BLURRING_DEG = 0.5
 
 
 @dataclass(frozen=True)
@@ -114,6 +117,7 @@ def estimate(scans: PairScans, seed: int = 0) -> PairEstimates | None:
     amounts["second returns"] = _difference(real_second_share, second_share, share=more_second)
     amounts |= _amounts(real, aligned, sim, explained)
     doubts = _doubts_of_pair(real, aligned, sim, explained, amounts["mixed pixels"]) | doubts
+    doubts |= _doubts_of_pose(pose, sim)
     amounts = only_known(amounts, doubts)
     if len(scans.sim.points) < _SPARSE * len(scans.real.points):
         amounts |= _unknown_of_sparse(amounts)
@@ -151,6 +155,14 @@ def _doubts_of_pair(
                 "set input.include_box for both sides"
             )
     return doubts
+
+
+def _doubts_of_pose(pose: Pose, sim: Side) -> dict[str, str]:
+    """The doubt that a tilt blurs the beams of a side, although they are recognised."""
+    tilt_deg = float(np.abs(pose.displacement.values[_TILTS]).max())
+    if not sim.sensor.elevation_deg or tilt_deg < _BLURRING_DEG:
+        return {}
+    return {UPRIGHT: f"simulated scan: tilted by {tilt_deg:.1f} degrees, which blurs its beams"}
 
 
 def _is_without_road(real: Side, sim: Side, explained: Explained) -> bool:
@@ -256,7 +268,7 @@ def estimate_between(base: Side, sim: Side) -> tuple[Pose, dict[str, float]] | N
             amount = of_sensor[name].amount
             if amount is not None:
                 amounts[name] = amount
-    doubts = doubts_of(base.sensor, sim.sensor)
+    doubts = doubts_of(base.sensor, sim.sensor) | _doubts_of_pose(pose, sim)
     certain = [name for name in amounts if doubts.keys().isdisjoint(CAUSES[name].needs)]
     return pose, {name: amounts[name] for name in certain}
 

@@ -1,7 +1,5 @@
 """Simulator versions on the same real scans: known differences, rejected runs, and pages that no name can break."""
 
-import csv
-import io
 import json
 import re
 import shutil
@@ -15,13 +13,11 @@ import pandas as pd
 import pytest
 from plotly.offline import get_plotlyjs
 
-from fidpipe.pipeline.report.page.compare_page import compare_page, draw_change
+from fidpipe.pipeline.report.page.compare_page import compare_page, draw_place
 from fidpipe.pipeline.report.page.run_page import write_report
-from fidpipe.pipeline.report.render import csv_text
 from fidpipe.pipeline.report.view import shortened
 from fidpipe.pipeline.report.views.compare_view import (
     chance,
-    compare_rows,
     compare_view,
     decision,
     place_words,
@@ -343,15 +339,12 @@ def test_tables_fit_80_columns_and_a_name_takes_one_line(versions):
     assert all("…" in row and "m away: " in row for row in rows), "a name is broken"
 
 
-def test_csv_holds_the_scores_and_the_terminal_the_families(found):
-    rows = list(csv.DictReader(io.StringIO(csv_text(compare_rows([found])))))
-    assert [row["score"] for row in rows] == [score.name for score in found.scores]
-    assert [float(row["difference"]) for row in rows] == [
-        score.difference.difference for score in found.scores
-    ]
-    assert {(row["family"], row["better is"]) for row in rows if row["score"] == "match rate"} == {
-        ("objects", "↑")
-    }
+def test_the_table_holds_the_scores_and_the_terminal_the_families(found):
+    rows = found.table
+    assert rows["score"].tolist() == [score.name for score in found.scores]
+    assert rows["difference"].tolist() == [score.difference.difference for score in found.scores]
+    (match_rate,) = rows[rows["score"] == "match rate"].to_dict("records")
+    assert (match_rate["family"], match_rate["better is"]) == ("objects", "↑")
     text = text_of(compare_view(found, with_all=True), 200)
     assert text.startswith("worse: ")
     assert re.search("surface invented +worse ", text)
@@ -377,7 +370,7 @@ def test_the_worst_changes_are_in_3d_and_linked_into_both_reports(versions, tmp_
 
 def test_a_changed_object_has_its_points_before_and_after(found, versions):
     one = next(change for change in plain_rows(found.objects) if change["kind"] == "vanished")
-    place = draw_change(one, [*map(FinishedRun, versions)])
+    place = draw_place([*map(FinishedRun, versions)], one["pair_id"], one["real_id"])
     assert all(len(axis) >= one["n_points"] for axis in place["real"])
     for sim in place["sims"]:
         x, y, z = sim["points"]

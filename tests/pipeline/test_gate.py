@@ -42,6 +42,8 @@ def test_measures_are_the_numbers_of_the_tables(finished):
     assert of("match_rate.min") == pairs.match_rate.min()
     assert of("alignment_rms_m.std") == pytest.approx(pairs.alignment_rms_m_mean.std())
     assert of("objects.cdc.q95") == pytest.approx(metrics.cdc.quantile(0.95))
+    assert of("objects.r_lambda.std") == pytest.approx(metrics.r_lambda.std())
+    assert (of("objects.cdc.min"), of("cdc.max")) == (metrics.cdc.min(), pairs.cdc_mean.max())
     alone = matching[matching.status == "not_found"].merge(
         objects[objects.side == "real"],
         left_on=["pair_id", "real_id"],

@@ -10,7 +10,7 @@ TABLE = Table(
     ("pair", "CDC", "verdict", "p\nvalue"),
     [("[bold]a|b", 0.51249, "worse", None), ("x" * 60, 0.25, "same", 0.5)],
     words=(0, 2),
-    digits={1: 2},
+    digits=2,
     wide=(3,),
 )
 VIEW = [
@@ -57,8 +57,8 @@ def test_a_page_has_every_column_and_no_name_as_markup():
     assert "&lt;b&gt;" in page
     assert "<i>" not in page
     assert '<td class="text worse" title="worse">worse</td>' in page
-    assert "<td>0.500</td>" in page
-    assert '<p class="note">Note: one.</p>' in page
+    assert "<td>0.50</td>" in page
+    assert '<p class="note">note: one</p>' in page
 
 
 def test_csv_has_numbers_in_full():

@@ -121,15 +121,15 @@ def test_a_pair_lists_the_ten_largest_objects_of_one_side_and_with_all_every_one
     for i in range(77):
         row = {**alone, "community_id": i, "n_points": 100 + i}
         values["objects"].append({"real": None, "sim": row})
-    few = pair_view(values, "fidpipe show RUN PAIR --all")
+    few = pair_view(values)
     rows = next(
         part
         for part in few
         if isinstance(part, Table) and part.title == "Objects that only one side has"
     ).rows
     assert [row[2] for row in rows] == [f"sim:{i}" for i in range(76, 66, -1)]
-    assert few[-1].text == "67 more: fidpipe show RUN PAIR --all"
-    assert len(pair_view(values)[-1].rows) == 77
+    assert few[-1].text == "67 more: --all"
+    assert len(pair_view(values, with_all=True)[-1].rows) == 77
 
 
 def test_a_failed_pair_shows_why_and_has_no_objects(report_run):

@@ -398,3 +398,14 @@ def test_scans_without_common_surface_have_no_estimates(places):
     far = points + [0, 0, 500.0]
     assert fit_displacement(cKDTree(points), cKDTree(far), is_ground) is None
     assert estimate(PairScans(*(Side(own, is_ground, sensor) for own in (points, far)))) is None
+
+
+def test_a_tilt_that_blurs_recognised_beams_leaves_their_noise_unknown(places):
+    pair = simulated(places[:1])[0]
+    angle = np.radians(1.5)
+    turn = np.array(
+        [[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]]
+    )
+    tilted = replace(pair.sim, points=pair.sim.points @ turn.T)  # with the beams as without
+    noise = estimate(PairScans(pair.real, tilted)).amounts["elevation noise"]
+    assert noise.reason == "simulated scan: tilted by 1.5 degrees, which blurs its beams"

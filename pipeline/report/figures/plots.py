@@ -15,11 +15,12 @@ from ....schemas.errors import RunError
 from ....schemas.metric_catalogue import METRIC, QUADRANT_SCORES
 from ...results.finished import FinishedRun, pair_object
 from ..look import FATE_WORDS, OUTCOME_COLOURS, OUTCOME_WORDS, SIDE_COLOURS
-from ..run_frames import box_around, coordinates, inside, points_of
+from ..run_frames import coordinates, inside, points_of
 from ..view import count, number, percent
 from . import style
 
 _OTHERS = "#bbbbbb"
+_PAD_M = 0.3  #: around an object
 _MOST_NUMBERS = 10  #: pieces of a side with a number
 _PIECE_WORDS = {"real": "missing", "sim": "invented"}
 
@@ -44,7 +45,9 @@ def plot_object(run: FinishedRun, pair_id: str, name: str, ax: Any = None) -> Fi
         is_member = points["community_id"].isin([row["community_id"]] if row else [])
         members[side] = coordinates(points[is_member])
         others.append(coordinates(points[~is_member]))
-    low, high = box_around(np.concatenate(list(members.values())))
+    places = np.concatenate(list(members.values()))
+    low = places.min(axis=0) - _PAD_M
+    high = places.max(axis=0) + _PAD_M
     size = np.maximum(high - low, (high - low).max() / 3)  # labels have room along a thin pole
     low = (low + high - size) / 2
     x, y, z = np.column_stack([low, low + size])

@@ -25,7 +25,6 @@ from ..look import (
     THEMES,
     clipped,
 )
-from ..view import sentence
 
 
 def render(template: str, report: dict[str, Any], **words: Any) -> str:
@@ -59,7 +58,6 @@ def _environment() -> Environment:
     environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
     environment.filters |= {
         "shown": shown,
-        "sentence": sentence,
         "clipped": clipped,
     }
     environment.globals |= {

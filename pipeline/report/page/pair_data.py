@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ....schemas.columns import SIDES, Row
 from ....schemas.metric_catalogue import COVERED, labels, scores_in
 from ....stages.arrays import BoolArray
-from ....stages.statistics.findings import evenly
+from ....stages.statistics.bands import evenly
 from ....stages.surface import signed_distances
 from ...results.object_frame import plain_rows
 from ..run_frames import RunResults, coordinates, points_of

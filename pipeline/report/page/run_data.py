@@ -127,7 +127,7 @@ def _objects_table(results: RunResults, in_3d: Container[str]) -> Table:
     headings[2] = results.class_is
     cells = columns_of(rows, (*_OBJECTS, *scores))
     links = [_link(row, in_3d) for row in rows]
-    return Table(title, headings, cells, words=range(5), digits={5: 1}, links=links)
+    return Table(title, headings, cells, words=range(5), links=links)
 
 
 def _made_table(record: RunRecord) -> Table:

@@ -10,7 +10,7 @@ from ....schemas.columns import Row
 from ....stages.statistics.comparison import LEAST_FLIPPED, LEAST_PAIRS, Difference
 from ...results.causes import interval_words
 from ...results.compare import Comparison
-from ...results.families import ERROR_RATE, MARKS_NOTE, TASKS, score_rows
+from ...results.families import ERROR_RATE, MARKS_NOTE, TASKS
 from ...results.followed import worst_changes
 from ...results.independence import NEEDED, pairs_and_places
 from ...results.sectors import N_SECTORS
@@ -234,16 +234,6 @@ def changed_since(comparison: Comparison) -> View:
     if not sections:
         return [title, Note("no cause changed by more than the accuracy of its estimate")]
     return [title, Answers(sections)]
-
-
-def compare_rows(comparisons: Sequence[Comparison]) -> list[Row]:
-    """One row per run and score, numbers in full."""
-    rows = []
-    for comparison in comparisons:
-        runs: Row = {"base": str(comparison.base), "run": str(comparison.other)}
-        runs["places"] = comparison.n_places
-        rows += [runs | row for row in score_rows(comparison.families)]
-    return rows
 
 
 def _interval(change: Difference) -> str:

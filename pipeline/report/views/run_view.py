@@ -123,8 +123,7 @@ def baselines_view(summaries: Sequence[BaselineSummary]) -> View:
         "two scans (nvs: ground as well).",
         *notes,
     )
-    digits = {3: 4, 4: 4}
-    return [Table(title, headings, rows, words=(0, 1, 2), digits=digits), *map(Note, lines)]
+    return [Table(title, headings, rows, words=(0, 1, 2), digits=4), *map(Note, lines)]
 
 
 def seeds_view(seeds: SeedSummary) -> View:
@@ -153,7 +152,7 @@ def tasks_view(summaries: Sequence[TaskSummary]) -> View:
         return []
     headings = ("task", "measure", "unit", "real", "simulated", "gap", "std of gap")
     title = "Tasks (means over pairs; gap 0: a perception stack would notice nothing)"
-    return [Table(title, headings, rows, words=(0, 1, 2), digits={3: 2, 4: 2})]
+    return [Table(title, headings, rows, words=(0, 1, 2))]
 
 
 def pairs_table(pairs: Sequence[Row], links: Sequence[str] = ()) -> Table:
@@ -199,7 +198,7 @@ def _groups_table(findings: Findings) -> Table:
     for group in findings.groups:
         counts = (group.n_real, group.n_not_found, group.n_sim, group.n_extra)
         shares = (percent(group.missing_share), percent(group.invented_share))
-        scores = [group.scores[name].mean for name in QUADRANT_SCORES]
+        scores = [group.scores[name] for name in QUADRANT_SCORES]
         rows.append((group.name, *shares, *counts, *scores))
     title = "By range and class (missing, invented: of the object points, within 0.3 m)"
     headings = (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -18,7 +17,6 @@ from ...results.best_case import RunExcess
 from ...results.finished import FinishedRun, pair_object, pair_values, run_values
 from ...results.object_frame import UNKNOWN
 from ...results.overview import alignment_is_bad
-from ...storage.urls import url_or_path
 from ..look import FATE_WORDS
 from ..view import Note, Part, Table, View, columns_of, number, percent, warnings
 from .run_view import summary_view
@@ -60,10 +58,7 @@ def show_view(
         return summary_view(run, excess, with_all=with_all)
     if name is not None:
         return object_view(pair_object(run, pair, name))
-    command = ""
-    if not with_all:
-        command = shlex.join(["fidpipe", "show", url_or_path(run.folder), pair, "--all"])
-    parts = pair_view(pair_values(run, pair), command)
+    parts = pair_view(pair_values(run, pair), with_all=with_all)
     return [*parts, *warnings((run.record.notes or {}).get(pair, ()))]
 
 
@@ -87,13 +82,13 @@ def show_rows(run: FinishedRun, pair: str | None, name: str | None) -> list[Row]
     return rows
 
 
-def pair_view(values: Mapping[str, Any], command: str = "") -> View:
+def pair_view(values: Mapping[str, Any], *, with_all: bool = False) -> View:
     """A sentence on a pair, its sides, its rays, its matched objects worst first, the unmatched.
 
     Parameters
     ----------
     values : from `pair_values`
-    command : shows all unmatched objects; given if only the largest ones are to be shown here
+    with_all : all unmatched objects, not only the largest
     """
     row = values["pair"]
     if row["status"] != "scored":
@@ -105,7 +100,7 @@ def pair_view(values: Mapping[str, Any], command: str = "") -> View:
     if matched:
         words = "offset: distance between the centroids; align: RMS distance of the aligned nodes"
         parts.append(Note(words))
-    return [*parts, *_unmatched(objects, command)]
+    return [*parts, *_unmatched(objects, with_all=with_all)]
 
 
 def _pair_sentence(row: Row) -> str:
@@ -128,7 +123,7 @@ def _sides_table(row: Row) -> Table:
     for side in SIDES:
         rows.append([side, *(row[column.format(side)] for column in columns)])
     title = "Sides (within: share of the object points with one of the other side)"
-    return Table(title, headings, rows, digits={4: 2})
+    return Table(title, headings, rows)
 
 
 def _rays(reason: str | None, of_groups: Sequence[Row]) -> Part:
@@ -140,9 +135,8 @@ def _rays(reason: str | None, of_groups: Sequence[Row]) -> Part:
         if row["by"] in ("all", "range"):
             rows.append((row["band"] or "all", row["n_rays"], *(row[name] for name in _RAYS)))
     title = "Rays (share of those with a return on either side), and simulated minus real range"
-    digits = dict.fromkeys(range(2, 9), 2)
     headings = ("rays", "number", *narrow_labels(_RAYS))
-    return Table(title, headings, rows, digits=digits, whole=(0,))
+    return Table(title, headings, rows, digits=2, whole=(0,))
 
 
 def _matched_table(matched: Sequence[Row]) -> Table:
@@ -150,34 +144,25 @@ def _matched_table(matched: Sequence[Row]) -> Table:
     columns = ("label", "community_id", "partner", "range_m", "n_real", "n_sim", *scores)
     rows = columns_of(matched, columns)
     title = "Objects that both sides have, largest r_lambda first"
-    digits = {3: 1}
-    digits |= dict.fromkeys(range(6, 6 + len(scores)), 2)
-    headings = [
-        "class",
-        "real",
-        "sim",
-        "range\n(m)",
-        "points\nreal",
-        "\nsim",
-        *narrow_labels(scores),
-    ]
-    return Table(title, headings, rows, digits=digits, whole=(0,))
+    headings = ["class", "real", "sim", "range\n(m)", "points\nreal", "\nsim"]
+    headings += narrow_labels(scores)
+    return Table(title, headings, rows, digits=2, whole=(0,))
 
 
-def _unmatched(objects: Sequence[Row], command: str) -> View:
-    """The unmatched objects, real ones first; only the largest if a command shows the others."""
+def _unmatched(objects: Sequence[Row], *, with_all: bool) -> View:
+    """The unmatched objects, real ones first; without `with_all` the largest ones."""
     unmatched = [row for row in objects if row["fate"] != "matched"]
     unmatched.sort(key=lambda row: (row["fate"] == "extra", -row["n_points"]))
     rows = []
-    for row in unmatched[: _MOST_UNMATCHED if command else None]:
+    for row in unmatched[: None if with_all else _MOST_UNMATCHED]:
         name = f"{row['side']}:{row['community_id']}"
         place = (row["range_m"], row["n_points"], row["cz"], row[_NEAR])
         rows.append((row["label"], FATE_WORDS[row["fate"]], name, *place))
     headings = ("class", "status", "object", "range\n(m)", "points", "z (m)", "within\n0.3 m")
     title = "Objects that only one side has"
-    table = Table(title, headings, rows, (0, 1), digits={3: 1, 5: 1}, whole=(0,))
+    table = Table(title, headings, rows, (0, 1), digits=2, whole=(0,))
     n_more = len(unmatched) - len(rows)
-    return [table, Note(f"{n_more} more: {command}")] if n_more else [table]
+    return [table, Note(f"{n_more} more: --all")] if n_more else [table]
 
 
 def object_view(rows: Mapping[str, Row | None]) -> View:
@@ -206,7 +191,7 @@ def object_view(rows: Mapping[str, Row | None]) -> View:
     covered = {"covered_real_0p3m": real[_NEAR], "covered_sim_0p3m": sim[_NEAR]}
     return [
         Note(judgement(row | covered)),
-        Table(title, headings, values, words=(0, 2), digits={1: 4}),
+        Table(title, headings, values, words=(0, 2), digits=4),
         table,
     ]
 
