@@ -281,14 +281,12 @@ def _real_objects(run: FinishedRun, pair_id: str) -> pd.DataFrame:
 
 def _scores_of_lost(objects: pd.DataFrame) -> tuple[Row, ...]:
     """Area under the ROC curve of each score of matched objects, for their loss."""
-    import pandas as pd
-
     rows = []
     for score in OBJECT_METRICS:
         known = objects.dropna(subset=[score])
         values = known[score].to_numpy(dtype=np.float64)
         is_lost = (known["fate"] == "lost").to_numpy()
-        scan_of, _ = pd.factorize(known["pair_id"])
+        scan_of = known["pair_id"].to_numpy()
         low, high = jackknife_interval(values, is_lost, scan_of) or (None, None)
         row = {"score": score, "auc": lost_auc(values, is_lost), "low": low, "high": high}
         n_lost = int(is_lost.sum())
