@@ -146,15 +146,14 @@ class _Fit:
             information = weighted.T @ slopes + np.diag(prior**-2.0)
             if np.linalg.inv(information)[_ROAD, _ROAD] > _UNKNOWN * _PRIOR[_ROAD] ** 2:
                 information[_ROAD, _ROAD] += _FIXED
-            better: FloatArray = np.linalg.solve(information, weighted.T @ off_m)
-            values = better
+            values = np.linalg.solve(information, weighted.T @ off_m).astype(np.float64)
         return values
 
     def mean_square(self, values: FloatArray) -> float:
         """Mean square of the distances that the displacement leaves, each counted up to 0.1 m."""
         met, off_m = self._offsets(values, _FINE_REACH_M, _NEIGHBOURS)
-        left_m = np.abs(off_m - self.slopes[met] @ values)
-        return float((np.minimum(left_m, _MOST_RESIDUAL_M) ** 2).mean())
+        left_m = np.minimum(np.abs(off_m - self.slopes[met] @ values), _MOST_RESIDUAL_M)
+        return float((left_m**2).mean())
 
     @cached_property
     def slopes(self) -> FloatArray:
