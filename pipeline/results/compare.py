@@ -22,7 +22,7 @@ from ...stages.arrays import IntArray
 from ...stages.statistics.comparison import LEAST_FLIPPED, LEAST_PAIRS
 from ..engine.progress import Reporter
 from .changes import Changes, find_changes
-from .families import FamilyChange, ScoreChange, ScoredPairs, judge_families, overall, score_rows
+from .families import FamilyChange, ScoreChange, ScoredPairs, judge_families, overall
 from .finished import (
     FinishedRun,
     pairs_left_out,
@@ -109,7 +109,11 @@ class Comparison:
     @property
     def table(self) -> pd.DataFrame:
         """One row per score of the world: family, verdict, means before and after, change with its 95 % interval, p."""
-        return pd.DataFrame(score_rows(self.families))
+        rows = []
+        for family in self.families:
+            for score in family.scores:
+                rows.append({"family": family.name} | vars(score) | vars(score.difference))
+        return pd.DataFrame(rows)
 
     @property
     def scores(self) -> list[ScoreChange]:

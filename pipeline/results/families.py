@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from ...schemas.columns import Row
 from ...schemas.metric_catalogue import COVERAGE_REACHES, Metric, is_of_preset, metrics_in
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.statistics.comparison import (
@@ -290,13 +289,3 @@ def overall(verdicts: Collection[str], *, tends_worse: bool = False) -> str:
     if "better" in verdicts:
         return "mixed" if tends_worse else "better"
     return "same" if {*verdicts} <= {"same"} else "undecided"
-
-
-def score_rows(families: Sequence[FamilyChange]) -> list[Row]:
-    """One row per score, for programs."""
-    rows = []
-    for family in families:
-        for score in family.scores:
-            row = {"family": family.name, "score": score.name, "better is": score.mark}
-            rows.append(row | vars(score.difference) | {"p": score.p, "verdict": score.verdict})
-    return rows

@@ -341,10 +341,10 @@ def test_tables_fit_80_columns_and_a_name_takes_one_line(versions):
 
 def test_the_table_holds_the_scores_and_the_terminal_the_families(found):
     rows = found.table
-    assert rows["score"].tolist() == [score.name for score in found.scores]
+    assert rows["name"].tolist() == [score.name for score in found.scores]
     assert rows["difference"].tolist() == [score.difference.difference for score in found.scores]
-    (match_rate,) = rows[rows["score"] == "match rate"].to_dict("records")
-    assert (match_rate["family"], match_rate["better is"]) == ("objects", "↑")
+    (match_rate,) = rows[rows["name"] == "match rate"].to_dict("records")
+    assert (match_rate["family"], match_rate["mark"]) == ("objects", "↑")
     text = text_of(compare_view(found, with_all=True), 200)
     assert text.startswith("worse: ")
     assert re.search("surface invented +worse ", text)
