@@ -12,7 +12,7 @@ import pytest
 import fidpipe
 from fidpipe.pipeline.jobs.baselines_job import summarise_baselines
 from fidpipe.pipeline.results.compare import compare_runs
-from fidpipe.pipeline.results.measures import TASK_MEASURES
+from fidpipe.pipeline.results.measures import TASK_GAPS
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.pipeline.storage.table_files import JobRecord
 from fidpipe.schemas.metric_catalogue import SEEDED_SCORES
@@ -249,7 +249,7 @@ def test_only_the_tasks_that_are_asked_for_are_computed(dataset, finished, tmp_p
 
 def test_the_tasks_are_in_the_answer_in_gates_and_in_python(dataset, finished, record, tmp_path):
     gaps = {f"{row['task']}.{row['measure']}": row["gap"] for row in record["tasks"]}
-    assert tuple(gaps) == TASK_MEASURES
+    assert tuple(gaps) == tuple(TASK_GAPS.values())
     answer = command("show", finished, code=0).stdout
     lost = f"{100 * gaps['objects.lost']:.0f} %"
     assert re.search(rf"tasks\s+your obstacles: {lost} lost", answer)
