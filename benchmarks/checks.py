@@ -20,13 +20,12 @@ import numpy as np
 from fidpipe.pipeline.datasets.pairs import ScanPair
 from fidpipe.pipeline.datasets.readers import frames_of, read_scan
 from fidpipe.pipeline.datasets.readers.scan import Scan
-from fidpipe.pipeline.inspect.side_checks import SideSamples
+from fidpipe.pipeline.inspect.side_checks import sample_scan, side_warnings, stretches_of
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import FRAME_AXES, InputSettings
 from fidpipe.stages.clean import as_ros, clean_scan
 from fidpipe.stages.frame_search import check_frames
 from fidpipe.stages.generate.street_scans import make_pair
-from fidpipe.stages.inspect.stamps import check_stamps
 from fidpipe.stages.plausibility import implausible
 
 SETTINGS = InputSettings()
@@ -127,12 +126,17 @@ def seen(real, sim):
     """The faults that are named of two sides, and the seconds that this took."""
     pairs = [ScanPair(f"{i:03}", Path("real"), Path("sim"), 0.1 * i) for i in range(len(real))]
     start = time.process_time()
-    samples = SideSamples(pairs, SETTINGS)
-    for pair, real_points, sim_points in zip(pairs, real, sim, strict=True):
-        if pair.pair_id in samples.pair_ids:
-            samples.add(pair, {"real": Scan(real_points), "sim": Scan(sim_points)}, {})
+    stretches = stretches_of(pairs)
+    sampled = {pair.pair_id for stretch in stretches for pair in stretch}
+    samples = {}
+    for side, scans in (("real", real), ("sim", sim)):
+        samples[side] = {
+            pair.pair_id: sample_scan(pair, side, Scan(points), None, SETTINGS)
+            for pair, points in zip(pairs, scans, strict=True)
+            if pair.pair_id in sampled
+        }
     counts = {"real": cleaned_counts(real), "sim": cleaned_counts(sim)}
-    lines = samples.warnings(counts)
+    lines = side_warnings(samples, counts, stretches, SETTINGS)
     seconds = time.process_time() - start
     return (
         {name for name, pattern in SEEN.items() for line in lines if re.search(pattern, line)},
@@ -167,76 +171,6 @@ def sides(data):
     print(
         f"\n{np.median(seconds):.2f} s of one core a pair that is looked at, cleaning and benchmark included"
     )
-
-
-def turned(points):
-    """Times of a scan whose sensor turns clockwise in 0.1 s, by azimuth."""
-    return (0.5 - np.arctan2(points[:, 1], points[:, 0]) / (2 * np.pi)) * 0.1
-
-
-def by_beam(points):
-    """The points row by row, as organised clouds have them."""
-    slope = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
-    return points[np.lexsort((turned(points), np.round(slope, 2)))]
-
-
-STAMP_FAULTS = {
-    "none": (lambda times, rng: times, ""),
-    "half are NaN": (
-        lambda times, rng: np.where(rng.random(len(times)) < 0.5, np.nan, times),
-        "have no time",
-    ),
-    "every other is 0": (
-        lambda times, rng: np.where(np.arange(len(times)) % 2, times, 0.0),
-        "have no time",
-    ),
-    "half as many": (lambda times, rng: times[::2], "one per point"),
-    "one for all": (lambda times, rng: np.full(len(times), 5.0), "all points have one time"),
-    "milliseconds": (lambda times, rng: 1e3 * times, "milliseconds"),
-    "nanoseconds": (lambda times, rng: 1e9 * times, "nanoseconds"),
-    "of other points": (lambda times, rng: rng.permutation(times), "go round"),
-    "by row, not by turn": (lambda times, rng: np.linspace(0, 0.1, len(times)), "go round"),
-    "5 % are NaN": (
-        lambda times, rng: np.where(rng.random(len(times)) < 0.05, np.nan, times),
-        "have no time",
-    ),
-    "1 % are NaN": (
-        lambda times, rng: np.where(rng.random(len(times)) < 0.01, np.nan, times),
-        "have no time",
-    ),
-    "backwards": (lambda times, rng: times.max() - times, "go round"),
-}
-
-
-def stamps(data):
-    recorded = [
-        read_scan(path)
-        for name in ("rosbag1.bag", "sweeps.pcap")
-        for path in frames_of(data / "velodyne_vlp32c" / name)
-    ]
-    os1 = points_of([data / "rellis/000104.bin"])
-    named = {
-        "VLP-32C, bag and capture": [(scan.points, scan.times_s) for scan in recorded],
-        "kitti_sequence, times made": [
-            (points, turned(points))
-            for points in map(by_beam, points_of(sorted((data / "kitti_sequence").glob("*.bin"))))
-        ],
-        "held out: rellis OS1-64, times made": [(points, turned(points)) for points in os1],
-        "held out: nuscenes, times made": [
-            (points, turned(points))
-            for points in map(by_beam, points_of((data / "nuscenes").glob("*.bin")))
-        ],
-    }
-    print("\n| times | " + " | ".join(named) + " |\n" + "|---" * (len(named) + 1) + "|")
-    for fault, (change, words) in STAMP_FAULTS.items():
-        cells = []
-        for own in named.values():
-            rng = np.random.default_rng(0)
-            told = [check_stamps(change(times, rng), points)[1] for points, times in own]
-            texts = [" ".join(faults) for faults in told]
-            hits = sum(words in text if words else bool(text) for text in texts)
-            cells.append(f"{hits} of {len(own)}")
-        print(f"| {fault} | " + " | ".join(cells) + " |", flush=True)
 
 
 def frames(data):
@@ -313,7 +247,6 @@ def camera(data):
 
 def main(data):
     sides(data)
-    stamps(data)
     frames(data)
     camera(data)
 

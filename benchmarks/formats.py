@@ -18,7 +18,7 @@ from fidpipe.pipeline.datasets.pairs import scans_of
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.datasets.readers.scan_ref import scan_ref
 
-FIELDS = ("intensity", "rings", "times_s", "incidence", "instances", "labels")
+FIELDS = ("intensity", "rings", "times_s", "instances", "labels")
 
 
 def timed(call):

@@ -17,7 +17,7 @@ from fidpipe import evaluate_pair
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.schemas.settings import load
 from fidpipe.stages.clean import clean_scan
-from fidpipe.stages.generate.perturbations import remeasure
+from fidpipe.stages.generate.second_measurement import remeasure
 from fidpipe.stages.ground import remove_ground
 
 SCANS = (

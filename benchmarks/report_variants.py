@@ -376,12 +376,12 @@ def check(folder, points, variant, rng, settings):
     (folder / "pairs.csv").write_text("pair_id,real,sim\n0,real.npy,sim.npy\n")
     checked = check_dataset(folder, settings)
     texts = [*checked.doubts, *checked.faults, *checked.warnings]
-    reasons = [unknown.reason for unknown in checked.causes.unknown]
+    reasons = [unknown.reason for unknown in checked.unknown]
     return (
         texts,
         reasons,
-        [cause.words for cause in checked.causes.causes],
-        [cause.name for cause in checked.causes.causes],
+        [cause.words for cause in checked.causes],
+        [cause.name for cause in checked.causes],
     )
 
 

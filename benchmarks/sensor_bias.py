@@ -12,7 +12,8 @@ from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.stages.beam_patterns import find_beams
 from fidpipe.stages.generate.street_scans import make_pair
-from fidpipe.stages.sensor_description import _by_beam, describe_sensor
+from fidpipe.stages.sensor_description import describe_sensor
+from fidpipe.stages.sweep import sweep_of
 
 FILES = (
     "kitti_twin/sim/000000.bin",
@@ -26,7 +27,7 @@ ADDED_M = (0.0, 0.02, 0.05)
 
 def thinned(points, n):
     """Every n-th firing of each beam."""
-    sweep = _by_beam(points, find_beams(points))
+    sweep = sweep_of(points, find_beams(points))
     column = np.round(sweep.azimuth_deg / describe_sensor(points).azimuth_step_deg).astype(int)
     return points[np.sort(sweep.row[column % n == 0])]
 

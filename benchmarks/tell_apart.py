@@ -18,11 +18,12 @@ from unittest.mock import patch
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 from decisions import EVERY, NONE, random, read
 from flawed_scans import ALL, Scan, find_car, find_poles, ray_noise
 
 from fidpipe.pipeline.datasets.readers import frames_of, read_scan
-from fidpipe.pipeline.diagnose.tell_apart import Frame, compare_samples, draw_sample, features_of
+from fidpipe.pipeline.diagnose.tell_apart import compare_samples, draw_sample, features_of
 from fidpipe.schemas.settings import load
 from fidpipe.stages.coverage import cover, nearest_distances
 from fidpipe.stages.diagnose import tell_apart as classifier
@@ -48,13 +49,15 @@ def cleaned(points):
     return clean.points, cut
 
 
-def frame_of(cloud):
+def ground_of(cloud):
     points, cut = cloud
-    return Frame(points, points, cut.height_m, cut.is_ground, None)
+    columns = dict(zip("xyz", points.T, strict=True))
+    columns |= {"height_m": cut.height_m, "is_ground": cut.is_ground}
+    return pa.table(columns | {"intensity": np.zeros(len(points))})
 
 
 def sample(clouds):
-    return draw_sample(frame_of, clouds)
+    return draw_sample([(ground_of(cloud), None) for cloud in clouds], len(clouds))
 
 
 def show(name, found):

@@ -2,7 +2,7 @@
 
     python benchmarks/urbantwin.py ../shared/data/lumpi
 
-Every figure of `docs/urbantwin.md`. Needs `pip install 'fidpipe[icp]'`.
+Every figure of `docs/urbantwin.md`. Needs `pip install small_gicp`.
 """
 
 import os
@@ -196,7 +196,7 @@ def main():
     for name, twin in twins.items():
         show(name, [pieces(real[i], twin[i]) for i in n])
 
-    found = tell_apart_folders(args.folder / "real", args.folder / "sim", load(None, WORDS)).values
+    found = tell_apart_folders(args.folder / "real", args.folder / "sim", load(None, WORDS))
     base = found["real_against_real"]
     print("\n| tell apart | AUC | 95 % interval |\n|---|---|---|")
     for name, test in (("twin", found), (f"real against real, {base['of']}", base)):

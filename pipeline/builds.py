@@ -145,12 +145,10 @@ def runs_of(
         datasets = [_paired(real, sim, out) for sim, out in zip(sims, outs, strict=True)]
     else:
         datasets = list(folders)
-        outs = list(folders)
-        rows = [i for i, folder in enumerate(folders) if not is_run(folder)]
-        unevaluated = [folders[i] for i in rows]
-        names = _told_apart(unevaluated, [run_folder(folder) for folder in unevaluated])
-        for i, out in zip(rows, names, strict=True):
-            outs[i] = out
+        unevaluated = [folder for folder in folders if not is_run(folder)]
+        names = _told_apart(unevaluated, list(map(run_folder, unevaluated)))
+        run_of = dict(zip(unevaluated, names, strict=True))
+        outs = [run_of.get(folder, folder) for folder in folders]
     for folder, dataset, out in zip(folders[-len(outs) :], datasets, outs, strict=True):
         if dataset != out:
             reporter.say(f"{folder}: its run is {out}")

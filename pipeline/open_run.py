@@ -60,19 +60,16 @@ class Run(FinishedRun):
 
         return plot_pieces(self, pair_id, ax)
 
-    def plot_range_image(
-        self, pair_id: str, value: str = "outcome", ax: Axes | None = None
-    ) -> Figure:
-        """Plot the rays of a pair over azimuth and beam.
+    def plot_range_image(self, pair_id: str, ax: Axes | None = None) -> Figure:
+        """Plot the outcomes of the rays of a pair over azimuth and beam.
 
         Parameters
         ----------
-        value : "outcome" of each ray, "real_range_m", or "sim_range_m" on the same rays
         ax : matplotlib axes to draw into; by default those of a new figure
         """
         from .report.figures.plots import plot_range_image
 
-        return plot_range_image(self, pair_id, value, ax)
+        return plot_range_image(self, pair_id, ax)
 
 
 def open_run(folder: Path | str) -> Run:

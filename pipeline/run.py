@@ -7,10 +7,11 @@ package `stages`.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 
@@ -20,17 +21,16 @@ from ..schemas.columns import Row
 from ..schemas.errors import DatasetError
 from ..schemas.record import FrameSuspect, PairCounts, RunHeader, RunRecord
 from ..schemas.settings import Settings, preset_of
+from ..stages.ground import peaks_note
 from .datasets.content import input_hashes
 from .datasets.pairing import require_partners
 from .datasets.pairs import Dataset, ScanPair, read_dataset
-from .engine.engine import Machines, large_pairs_warnings, schedule_of, started_pool
+from .engine.engine import Machines, large_pairs_warnings, started_schedule
 from .engine.plan import OUT_OF_DATE, PairPlan, plan_jobs, plan_pair, with_results
-from .engine.pool import Pool
 from .engine.progress import Reporter
 from .engine.schedule import Collector, Schedule
 from .engine.survey import (
     Contents,
-    Survey,
     hash_files,
     jobs_in_words,
     remove_stale,
@@ -48,16 +48,15 @@ from .results.overview import cautions, describe_objects
 from .run_tables import (
     extra_entries,
     few_of_each,
-    peaks_notes,
+    pair_rows,
     records_of,
-    write_pairs,
-    write_timings,
+    timing_rows,
+    write_table,
 )
 from .stage import OF_PAIR, Stage
 from .storage.files import key_of
 from .storage.folder import RunFolder, check_folder, refuse_overwrite
 from .storage.run_record import (
-    StageSeconds,
     has_ended,
     last_results,
     library_versions,
@@ -66,7 +65,9 @@ from .storage.run_record import (
     summarise_pairs,
     write_record,
 )
-from .storage.table_files import JobRecord
+from .storage.table_files import JobName, JobRecord
+
+_PEAKS = ("pair_id", "ground_real_peak_m", "ground_sim_peak_m")
 
 
 @dataclass(frozen=True)
@@ -143,10 +144,8 @@ def run_dataset(
     with folder.locked():
         run = Run(content, selected, folder, stages, settings, reporter)
         run.survey_results(from_stage, replace=replace)
-        with run.started_pool(machines) as pool:
-            run.replace_stale()
-            if run.survey.todo:
-                run.schedule(pool, machines).run()
+        with run.schedule(machines) as schedule:
+            schedule.run()
         return run.write()
 
 
@@ -185,9 +184,12 @@ class Run:
     ----------
     before : last record of the folder
     contents, faults : of input files, see `hash_files`
-    survey, hashes : jobs to do, and hashes of input files by pair_id and side
+    hashes : of input files by pair_id and side
+    usable, todo : pairs whose files exist, and the selected ones among them that have jobs to do
+    n_todo : number of these jobs
+    stale : finished jobs whose results are no longer needed, each with the reason
+    past_failures : reasons by pair_id of pairs that failed in an earlier run, and are not selected
     n_jobs : current jobs
-    seconds : of the current jobs
     keys : by pair, a hash of the keys that its row of `pairs` depends on
     notes, suspects : see `run_record`; by pair
     n_workers : 0 if none were needed
@@ -205,10 +207,13 @@ class Run:
         self.before = read_run(self.folder.folder)
         self.contents: Contents = {}
         self.faults: dict[str, str] = {}
-        self.survey = Survey()
+        self.usable: list[ScanPair] = []
+        self.todo: list[ScanPair] = []
+        self.n_todo = 0
+        self.stale: dict[JobName, str] = {}
+        self.past_failures: dict[str, str] = {}
         self.hashes: dict[str, dict[str, str]] = {}
         self.n_jobs = 0
-        self.seconds = StageSeconds()
         self.keys: dict[str, str] = {}
         self.notes: defaultdict[str, list[str]] = defaultdict(list)
         self.suspects: dict[str, FrameSuspect] = {}
@@ -233,25 +238,26 @@ class Run:
         if not (replace or from_stage):
             self._refuse_replacing()
 
-    def started_pool(self, machines: Machines) -> AbstractContextManager[Pool]:
-        """Workers for the pairs with jobs to do."""
-        todo = self.survey.todo
-        return started_pool(todo, self.folder, self.stages, self.settings, machines)
-
-    def replace_stale(self) -> None:
-        """Remove stale results and a finished record, if there are jobs to do or stale results."""
-        if not (self.survey.todo or self.survey.stale):
-            return
-        self._write_record(self._header())
-        changes = what_changed(self.before, self.settings, self.stages)
-        remove_stale(self.survey, self.folder, self.reporter, changes)
-
-    def schedule(self, pool: Pool, machines: Machines) -> Schedule:
-        """The jobs to do, on the workers of a pool; large pairs are warned of."""
-        todo = self.survey.todo
-        self.reporter.warn(*large_pairs_warnings(todo, self.contents, self.settings.input))
-        self.n_workers = pool.n_workers
-        return schedule_of(self.survey, self._plan, pool, self.collector, machines)
+    @contextmanager
+    def schedule(self, machines: Machines) -> Iterator[Schedule]:
+        """Context with the jobs to do, for which workers run; stale results are removed first."""
+        with started_schedule(
+            self.todo,
+            self.n_todo,
+            self._plan,
+            self.collector,
+            self.stages,
+            self.settings,
+            machines,
+        ) as schedule:
+            if self.todo or self.stale:
+                self._write_record(self._header())
+                changes = what_changed(self.before, self.settings, self.stages)
+                remove_stale(self.stale, self.folder, self.reporter, changes)
+            if self.todo:
+                self.n_workers = schedule.pool.n_workers
+            self.reporter.warn(*large_pairs_warnings(self.todo, self.contents, self.settings.input))
+            yield schedule
 
     def _hash_files(self) -> None:
         """Hash the files of the selected pairs and of those with results."""
@@ -277,7 +283,6 @@ class Run:
         """
         names = list(self._versions)
         redo = frozenset(names[names.index(from_stage) :] if from_stage else ())
-        survey = self.survey
         reasons = dict.fromkeys(self.folder.ledger.pair_ids(), "no longer in the dataset")
         for pair in self.dataset.pairs:
             name = pair.pair_id
@@ -285,29 +290,29 @@ class Run:
             if name in self.faults:
                 reasons[name] = "the input cannot be used"
             elif name in self.contents:
-                survey.usable.append(pair)
+                self.usable.append(pair)
                 redone = redo if name in self.selected else frozenset[str]()
                 plan, stale = with_results(self._plan(pair), self.folder, redone)
-                survey.stale |= stale
+                self.stale |= stale
                 if not plan.todo:
                     self._add_jobs(pair, list(plan.records.values()))
                 elif name in self.selected:
-                    survey.todo.append(pair)
-                    survey.n_jobs += len(plan.todo)
+                    self.todo.append(pair)
+                    self.n_todo += len(plan.todo)
                 else:
                     keys = [plan.keys[job.name] for job in plan.todo]
                     if reason := self.folder.ledger.failure(name, keys):
-                        survey.failures[name] = reason
+                        self.past_failures[name] = reason
         for name, reason in reasons.items():
             for record in self.folder.ledger.jobs(name).values():
-                survey.stale[record.name] = reason
+                self.stale[record.name] = reason
 
     def _refuse_replacing(self) -> None:
         """Raise `RunError` if finished results would be replaced because of settings or version.
 
         Those recomputed because of other input files or libraries are replaced too.
         """
-        lost = [name for name, reason in self.survey.stale.items() if reason == OUT_OF_DATE]
+        lost = [name for name, reason in self.stale.items() if reason == OUT_OF_DATE]
         if lost and has_ended(self.before):
             names = {stage for stage, _, _ in lost}
             stages = [stage for stage in self.stages if stage.name in names]
@@ -324,7 +329,7 @@ class Run:
         """Write the tables of the whole run and its record."""
         self._end_phase("stages")
         self._summarise_jobs()
-        failures = self.survey.failures | self.collector.failures
+        failures = self.past_failures | self.collector.failures
         job_keys = sorted(self.keys.items())
         key = key_of(library_versions(["fidpipe"]), job_keys, failures, self._times_s)
         before = self.folder.ledger.jobs("").get(("pairs", ""))
@@ -332,12 +337,14 @@ class Run:
         header = self._header()
         if not is_same:
             self._write_record(header)
-        pair_ids = {pair.pair_id for pair in self.survey.usable}
-        pairs = write_pairs(self.folder, key, self.stages, pair_ids | failures.keys(), failures)
+        pair_ids = {pair.pair_id for pair in self.usable}
+        rows_of = partial(pair_rows, self.folder, self._jobs, failures)
+        pairs = write_table(self.folder, "pairs", key, pair_ids | failures.keys(), rows_of)
         # where nothing was made, all rows are reused
         made_by = self.folder.token if self.collector.n_made else ""
         timings_key = key_of(key, list(self._versions), made_by)
-        write_timings(self.folder, timings_key, self.stages, pair_ids)
+        rows_of = partial(timing_rows, self.folder, self.stages)
+        write_table(self.folder, "timings", timings_key, pair_ids, rows_of)
         self._end_phase("tables")
         self._wall_s["total"] = perf_counter() - self._start
         record = self._record(header, pairs, self._last if is_same else None)
@@ -358,8 +365,10 @@ class Run:
         is_scored = [status == "scored" for status in pairs["status"].to_pylist()]
         # Filtering would import pyarrow.compute, a tenth of the time of a run with nothing to do.
         scored = pairs if all(is_scored) else pairs.filter(is_scored)
-        for pair_id, note in peaks_notes(scored, self.settings):
-            self.notes[pair_id].append(note)
+        for row in scored.select(_PEAKS).to_pylist():
+            pair_id, real_m, sim_m = row.values()
+            if note := peaks_note(real_m, sim_m, self.settings.ground):
+                self.notes[pair_id].append(note)
         if last is None or not last.overview:
             by_reference = preset_of(self.settings) == "reference"
             findings, overview = describe_objects(
@@ -380,7 +389,6 @@ class Run:
             ),
             summary=summarise_pairs(scored),
             findings=findings,
-            seconds=self.seconds.result(),
             inputs=dict(sorted(self.hashes.items())),
             times_s={name: time_s for name, time_s in times_s.items() if time_s is not None},
             frames=dict(sorted(self.suspects.items())),
@@ -394,12 +402,12 @@ class Run:
 
     def _summarise_jobs(self) -> None:
         """Add the jobs that were made, and report what inspection found."""
-        for pair in self.survey.usable:
+        for pair in self.usable:
             if pair.pair_id not in self.keys:
                 records = list(records_of(self.folder, self.stages, [pair.pair_id]))
                 if records:
                     self._add_jobs(pair, records)
-        names = [pair.pair_id for pair in self.survey.usable if pair.pair_id in self.keys]
+        names = [pair.pair_id for pair in self.usable if pair.pair_id in self.keys]
         warnings = shared_files({name: self.hashes[name] for name in names})
         for name in names:
             warnings += self._warnings[name]
@@ -413,7 +421,6 @@ class Run:
         if suspect:
             self.suspects[pair.pair_id] = suspect
         for job in records:
-            self.seconds.add(job)
             for note in job.metadata.get("notes", ()):
                 self.notes[pair.pair_id].append(f"{job.part} side: {note}")
         self.n_jobs += len(records)
@@ -426,8 +433,7 @@ class Run:
 
     def _write_record(self, record: RunHeader) -> None:
         """Write the settings and the record, or its header."""
-        out = self.folder.folder
-        write_record(out, self.settings, record.as_dict(), self.folder.check_token)
+        write_record(self.folder, self.settings, record.as_dict())
 
     def _end_phase(self, name: str) -> None:
         now = perf_counter()

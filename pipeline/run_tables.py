@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import chain
 from typing import Any
 
 import pyarrow as pa
@@ -11,10 +12,10 @@ import pyarrow as pa
 from ..schemas.columns import Row
 from ..schemas.settings import Settings
 from ..schemas.tables import TABLES
-from ..stages.ground import peaks_note
+from .engine.plan import Job
 from .stage import OF_PAIR, Stage
 from .storage.folder import RunFolder
-from .storage.table_files import JobRecord
+from .storage.table_files import JobId, JobRecord
 
 _MOST_ALIKE = 10  # warnings of a kind that are written out
 _PAIRS_AT_ONCE = 200
@@ -47,97 +48,67 @@ def records_of(
                 yield record
 
 
-def write_pairs(
-    folder: RunFolder,
-    key: str,
-    stages: Sequence[Stage],
-    pair_ids: Iterable[str],
-    failures: Mapping[str, str],
-) -> pa.Table:
-    """Write the table `pairs`, unless it exists under its key, and return it.
-
-    Its rows are the pairs with current results, and those that failed, now or in an earlier run.
+def pair_rows(
+    folder: RunFolder, jobs: Mapping[JobId, Job], failures: Mapping[str, str], pair_id: str
+) -> list[Row]:
+    """The row of `pairs` of a scored or failed pair; none of one that is neither.
 
     Parameters
     ----------
-    pair_ids : that may have a row
-    failures : reasons by pair_id
+    jobs : of any pair
+    failures : reasons by pair_id, now or in an earlier run
     """
-
-    def part(names: Sequence[str]) -> pa.Table:
-        rows = []
-        for pair_id in names:
-            row = _scored_row(folder, stages, pair_id)
-            if row is None and pair_id in failures:
-                row = {"pair_id": pair_id, "status": "failed", "reason": failures[pair_id]}
-            if row is not None:
-                rows.append(row)
-        return TABLES["pairs"].from_rows(rows)
-
-    record = _write_table(folder, "pairs", key, pair_ids, part)
-    (name,) = record.files
-    return folder.read("pairs", record.files[name], name)
-
-
-def _scored_row(folder: RunFolder, stages: Sequence[Stage], pair_id: str) -> Row | None:
-    """The row of a scored pair; None if a stage that every run has is not done."""
     records = folder.ledger.jobs(pair_id)
-    row: Row = {"pair_id": pair_id, "status": "scored"}
-    for stage in stages:
-        if stage.is_extra:
-            continue
-        for side in stage.parts:
-            if (stage.name, side) not in records:
-                return None
-            row |= records[stage.name, side].metadata.get(OF_PAIR, {})
-    return row
+    required = [name for name, job in jobs.items() if not job.stage.is_extra]
+    if records.keys() >= set(required):
+        row: Row = {"pair_id": pair_id, "status": "scored"}
+        for name in required:
+            row |= records[name].metadata.get(OF_PAIR, {})
+        return [row]
+    if pair_id in failures:
+        return [{"pair_id": pair_id, "status": "failed", "reason": failures[pair_id]}]
+    return []
 
 
-def write_timings(
-    folder: RunFolder,
-    key: str,
-    stages: Sequence[Stage],
-    pair_ids: Iterable[str],
-) -> None:
-    """Write the table `timings`, unless it exists under its key."""
-
-    def part(names: Sequence[str]) -> pa.Table:
-        rows = []
-        for record in records_of(folder, stages, names):
-            job: Row = {
-                "pair_id": record.pair_id,
-                "side": record.part or None,
-                "stage": record.stage,
-                "reused": record.made_by != folder.token,
-            }
-            rows += [job | {"step": step, "seconds": seconds} for step, seconds in record.steps]
-        return TABLES["timings"].from_rows(rows)
-
-    _write_table(folder, "timings", key, pair_ids, part)
+def timing_rows(folder: RunFolder, stages: Sequence[Stage], pair_id: str) -> list[Row]:
+    """The rows of `timings` of a pair."""
+    rows = []
+    for record in records_of(folder, stages, [pair_id]):
+        job: Row = {
+            "pair_id": record.pair_id,
+            "side": record.part or None,
+            "stage": record.stage,
+            "reused": record.made_by != folder.token,
+        }
+        rows += [job | {"step": step, "seconds": seconds} for step, seconds in record.steps]
+    return rows
 
 
-def _write_table(
+def write_table(
     folder: RunFolder,
     name: str,
     key: str,
     pair_ids: Iterable[str],
-    part: Callable[[Sequence[str]], pa.Table],
-) -> JobRecord:
-    """Write a table of the whole run, unless it exists under its key; returns its entry in the ledger.
+    rows_of: Callable[[str], list[Row]],
+) -> pa.Table:
+    """Write a table of the whole run, unless it exists under its key, and return it.
 
     Parameters
     ----------
-    part : returns the rows of some pairs
+    rows_of : returns the rows of a pair
     """
+    file = f"{name}.parquet"
     record = folder.ledger.jobs("").get((name, ""))
     if record is None or record.key != key or folder.damaged_files(record):
-        path = folder.folder / f"{name}.parquet"
         names = sorted(pair_ids)
-        starts = range(0, len(names), _PAIRS_AT_ONCE)
-        parts = (part(names[start : start + _PAIRS_AT_ONCE]) for start in starts)
-        record = JobRecord(name, "", "", key, {path.name: folder.write_at(path, name, parts, key)})
+        groups = [names[i : i + _PAIRS_AT_ONCE] for i in range(0, len(names), _PAIRS_AT_ONCE)]
+        parts = (
+            TABLES[name].from_rows(chain.from_iterable(map(rows_of, group))) for group in groups
+        )
+        stored = folder.write_at(folder.folder / file, name, parts, key)
+        record = JobRecord(name, "", "", key, {file: stored})
         folder.ledger.put_job(record)
-    return record
+    return folder.read(name, record.files[file], file)
 
 
 def extra_entries(
@@ -149,12 +120,3 @@ def extra_entries(
         if stage.summarise:
             extras |= stage.summarise(list(records_of(folder, [stage], pair_ids)), settings)
     return extras
-
-
-def peaks_notes(scored: pa.Table, settings: Settings) -> Iterator[tuple[str, str]]:
-    """Name and note of the pairs in which the heights of the ground are doubtful."""
-    names = ("pair_id", "ground_real_peak_m", "ground_sim_peak_m")
-    for row in scored.select(names).to_pylist():
-        pair_id, real_m, sim_m = row.values()
-        if note := peaks_note(real_m, sim_m, settings.ground):
-            yield pair_id, note

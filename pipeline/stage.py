@@ -1,6 +1,6 @@
 """Definition of a stage: its inputs, its outputs, and the argument of its job.
 
-A stage declares tables with their columns, groups of settings, and its grain. Its job is a function
+A stage declares tables, groups of settings, and its grain. Its job is a function
 of these: they arrive as its argument, and nothing else does, so that a result never depends on
 something that its key does not cover. The grain determines whether a job runs alone, with others of
 its pair, or object by object; the job does not know.
@@ -35,7 +35,6 @@ AMOUNTS = "amounts"  #: metadata of gains: mean amount of each cause that was co
 
 Metadata = dict[str, Any]
 Tables = dict[str, pa.Table]
-Columns = Mapping[str, tuple[str, ...]]  #: by table; none if only the metadata of its job is read
 Value = TypeVar("Value")
 
 
@@ -64,8 +63,7 @@ class Stage:
     """One step of the pipeline.
 
     name : in commands and in `timings`
-    takes : the columns that it reads, by table; `SCAN` for the input file. A table comes with the
-        metadata of its job
+    takes : names of tables; `SCAN` for the input file. A table comes with the metadata of its job
     gives : names of tables
     settings : the groups of settings that it reads
     grain : scope of one job
@@ -73,8 +71,8 @@ class Stage:
     make : the job
     libraries : libraries that it may call in addition to numpy and scipy; their versions are in its
         key
-    takes_real : columns of the real side, by table, that the job of the simulated side reads under
-        given settings; may include the stage's tables
+    takes_real : tables of the real side that the job of the simulated side reads under given
+        settings; may include the stage's own
     gather : for grain OBJECT, returns the metadata of the pair from the rows of all objects
     is_wanted : for an extra, True if the settings request it; None for a stage that every run has
     summarise : entries of `run.json` about its finished jobs
@@ -83,14 +81,14 @@ class Stage:
     """
 
     name: str
-    takes: Columns
+    takes: tuple[str, ...]
     gives: tuple[str, ...]
     settings: tuple[str, ...] = ()
     grain: Grain
     version: int = 1
     make: Callable[[Inputs], JobResult]
     libraries: tuple[str, ...] = ()
-    takes_real: Callable[[Settings], Columns] = lambda settings: {}
+    takes_real: Callable[[Settings], tuple[str, ...]] = lambda settings: ()
     gather: Callable[[Inputs, Tables], Metadata] | None = None
     is_wanted: Callable[[Settings], bool] | None = None
     summarise: Callable[[Iterable[JobRecord], Settings], dict[str, Any]] | None = None
@@ -164,8 +162,7 @@ class Inputs:
 
     part : the side, or ""
     settings : the declared groups
-    tables : by name and side, "" for a table of the pair: returns the declared columns; read when
-        first called
+    tables : by name and side, "" for a table of the pair; read when first called
     outputs : metadata of the jobs that made these tables, by name and side
     scans : by side, the input file, if the stage takes it; read when first called
     T_real_sim : motion of the simulated into the real sensor's frame, 12 numbers row by row; None
@@ -180,17 +177,17 @@ class Inputs:
     pair_id: str
     part: str
     settings: Settings
-    tables: Mapping[tuple[str, str], Callable[[], pa.Table]] = field(default_factory=dict)
-    outputs: Mapping[tuple[str, str], Metadata] = field(default_factory=dict)
-    scans: Mapping[str, Callable[[], Scan]] = field(default_factory=dict)
-    T_real_sim: tuple[float, ...] | None = None
-    objects: tuple[int, ...] = ()
-    arguments: tuple[Any, ...] = ()
-    step: Steps = field(default_factory=Steps)
-    memo: Memo = field(default_factory=Memo)
+    tables: Mapping[tuple[str, str], Callable[[], pa.Table]]
+    outputs: Mapping[tuple[str, str], Metadata]
+    scans: Mapping[str, Callable[[], Scan]]
+    T_real_sim: tuple[float, ...] | None
+    objects: tuple[int, ...]
+    arguments: tuple[Any, ...]
+    step: Steps
+    memo: Memo
 
     def table(self, name: str, side: str = "") -> pa.Table:
-        """The declared columns of a table; `KeyError` for a table or side that is not declared."""
+        """A table; `KeyError` if it or its side is not declared."""
         return self.tables[name, side]()
 
     def metadata(self, name: str, side: str = "") -> Metadata:

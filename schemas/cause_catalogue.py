@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 from .data_files import read_data
 
-#: Parameters of a displacement, in their order: metres, degrees, share, metres, and metres per sweep.
+#: Parameters of a displacement, in their order: metres, degrees, share, metres, metres and degrees per sweep, metres.
 PARAMETERS = (
     *("forward", "sideways", "height", "roll", "pitch", "yaw", "range scale", "range bias"),
-    *("motion forward", "motion sideways", "road height"),
+    *("motion forward", "motion sideways", "motion turning", "road height"),
 )
 #: Amount that is not a cause: variance of the share of returns between directions, beyond that of counting and of the
 #: fit of the losses; at most 0 if they are lost at random.

@@ -22,7 +22,7 @@ _LAST = 1000
 class Metric:
     """One score.
 
-    group : object, pair, coverage, surface, piece, ray, intensity, or baseline
+    group : object, pair, coverage, surface, piece, ray, intensity, task, or baseline
     column : name in the tables, with the unit if it has one
     heading : short name for table headings, without the unit
     short : heading for narrow columns if `heading` is too long
@@ -130,6 +130,8 @@ def _positions(text: str) -> dict[str, int]:
 
 #: Largest distance to the other side at which a point counts as covered, as in names of columns: 0.1, 0.3, 1 m.
 COVERAGE_REACHES = ("0p1m", "0p3m", "1m")
+#: Columns of the share of either side, or of an object on it, that the other side has within 0.3 m.
+COVERED = ("covered_real_0p3m", "covered_sim_0p3m")
 
 
 def reach_words(reach: str) -> str:
@@ -141,33 +143,21 @@ def reach_words(reach: str) -> str:
 METRIC = {metric.column: metric for metric in _read_metrics()}
 
 
-def _of_group(group: str) -> tuple[Metric, ...]:
-    return tuple(metric for metric in METRIC.values() if metric.group == group)
+def scores_of(*groups: str) -> tuple[str, ...]:
+    """Columns of the scores of some groups, in the order of the tables; see `Metric`."""
+    return tuple(name for name, metric in METRIC.items() if metric.group in groups)
 
 
-#: The scores of a matched object, in the order of the columns of `metrics`.
-OBJECT_SCORES = _of_group("object")
-#: Scores of a pair as a whole, in the order of the columns of `seeds` and then of `pairs`.
-PAIR_SCORES = _of_group("pair")
-#: Coverage of both surfaces of a pair, displacement and roughness, missing and invented pieces and the share of found
-#: objects, rays and intensities: in the order of the columns of `pairs`, those of rays also of `ray_scores`.
-COVERAGE_SCORES = _of_group("coverage")
-SURFACE_SCORES = _of_group("surface")
-PIECE_SCORES = _of_group("piece")
-RAY_SCORES = _of_group("ray")
-INTENSITY_SCORES = _of_group("intensity")
-#: The baseline metrics, in the order in which they are computed and shown.
-BASELINES = _of_group("baseline")
 #: Scores of the displacement of the simulated surface.
 SHIFT_COLUMNS = ("shift_x_m", "shift_y_m", "shift_z_m", "shift_m")
 #: Scores of rays whose mean over pairs describes a run.
 RAY_MEANS = tuple(
-    metric.column
-    for metric in RAY_SCORES
-    if metric.column not in ("n_rays", "rays_bias_low_m", "rays_bias_high_m")
+    name
+    for name in scores_of("ray")
+    if name not in ("n_rays", "rays_bias_low_m", "rays_bias_high_m")
 )
 #: Object scores with mean and standard deviation in `pairs`, in that order.
-OBJECT_METRICS = tuple(metric.column for metric in OBJECT_SCORES if "no-mean" not in metric.flags)
+OBJECT_METRICS = tuple(name for name in scores_of("object") if "no-mean" not in METRIC[name].flags)
 #: Object scores whose distributions over all objects a run reports.
 DISTRIBUTED = ("cdc", "r_lambda", "r_gap")
 #: Limits of the quadrants of the report, by fidpipe, not by the paper; a limit itself belongs to the better quadrant.
@@ -176,22 +166,21 @@ DISTRIBUTED = ("cdc", "r_lambda", "r_gap")
 QUADRANT_LIMITS = {"cdc": 0.5, "r_lambda": 0.4}
 #: Geometry and structure of an object: charts, and comparisons of single objects, are of these two.
 QUADRANT_SCORES = tuple(QUADRANT_LIMITS)
+#: Means over the objects of a pair.
+_OBJECT_MEANS = tuple(METRIC[name].mean_column for name in OBJECT_METRICS)
 #: Scores of a pair that are repeated under other seeds.
-SEEDED_SCORES = (
-    *(metric.column for metric in PAIR_SCORES),
-    *(METRIC[name].mean_column for name in OBJECT_METRICS),
-)
+SEEDED_SCORES = (*scores_of("pair"), *_OBJECT_MEANS)
 #: Columns of `pairs` whose mean and standard deviation over pairs describe the dataset.
-DATASET_SCORES = ("match_rate", *(METRIC[name].mean_column for name in OBJECT_METRICS))
+DATASET_SCORES = ("match_rate", *_OBJECT_MEANS)
 #: Columns of `pairs` that describe a run, which also measures surfaces.
 RUN_SCORES = (
     *DATASET_SCORES,
-    *(metric.column for metric in (*COVERAGE_SCORES, *SURFACE_SCORES, *PIECE_SCORES)),
+    *scores_of("coverage", "surface", "piece"),
     *RAY_MEANS,
-    *(metric.column for metric in INTENSITY_SCORES if metric.equal is not None),
+    *(name for name in scores_of("intensity") if METRIC[name].equal is not None),
 )
 #: Valid names in the setting metrics.baselines.
-BASELINE_NAMES = tuple(dict.fromkeys(metric.method for metric in BASELINES))
+BASELINE_NAMES = tuple(dict.fromkeys(METRIC[name].method for name in scores_of("baseline")))
 
 
 def metric_of(column: str) -> Metric:
@@ -202,7 +191,7 @@ def metric_of(column: str) -> Metric:
     KeyError
         The catalogue has no score of that name.
     """
-    return METRIC[column] if column in METRIC else METRIC[column.removesuffix("_mean")]
+    return METRIC[column.removesuffix("_mean")]
 
 
 def scores_in(place: str) -> tuple[str, ...]:

@@ -45,20 +45,12 @@ class Spread(Result):
     least_dataset: float | None
 
 
-class MeanStd(Result):
-    """Mean and standard deviation (n - 1); null for too few values."""
-
-    mean: float | None
-    std: float | None
-
-
 class SeedSummary(Result):
-    """The repeats under other seeds: of each score the spread over all pairs; of each pair mean and deviation."""
+    """The repeats under other seeds: of each score the spread over all pairs."""
 
     n_seeds: int
     n_pairs: int
     dataset: dict[str, Spread]
-    pairs: dict[str, dict[str, MeanStd]]
 
 
 class TaskSummary(Result):
@@ -94,13 +86,6 @@ class PairCounts(Result):
     scored: int
     failed: int
     to_do: int
-
-
-class Seconds(Result):
-    """Seconds by stage and step (mean over the pairs that have the stage), and by pair and stage."""
-
-    mean: dict[str, dict[str, float]]
-    pairs: dict[str, dict[str, float]]
 
 
 ELSEWHERE = "of another place"  #: reading of a pair whose scans do not show the same place
@@ -167,7 +152,6 @@ class RunRecord(RunHeader):
         BeforeValidator(lambda value: value or None),
         PlainSerializer(lambda found: {} if found is None else found.as_dict()),
     ]
-    seconds: Seconds
     inputs: dict[str, dict[str, str]]
     overview: Overview | None = None
     times_s: dict[str, float] = Field(default_factory=dict)

@@ -49,126 +49,39 @@ class ScoreSummary(Result):
     n_pairs: int
 
 
-class Quantiles(Result):
-    """Number of values and their quantiles; null without any."""
+class ObjectGroup(Result):
+    """The objects of all pairs in a range band or of a class; a matched object has the class of its real side.
 
-    n: int
-    min: float | None
-    q05: float | None
-    q25: float | None
-    median: float | None
-    q75: float | None
-    q95: float | None
-    max: float | None
-
-
-class Distribution(Quantiles):
-    """Some values: their number, quantiles, mean, standard deviation (n - 1); null for too few.
-
-    cv : coefficient of variation, std / mean
+    by : "range", each object by its own side, or "class"
+    n_real, n_sim : objects of each side
+    n_not_found, n_extra : those of them that the other side lacks
+    n_real_points, n_sim_points : of these objects
+    missing_share, invented_share : of these points, those without a counterpart within 0.3 m; null without points
+    scores : means of cdc, r_lambda, r_gap over the matched real objects; null if none has it
     """
 
-    mean: float | None
-    std: float | None
-    cv: float | None
-
-
-class ScoreDistributions(Result):
-    """The distributions over all matched objects."""
-
-    cdc: Distribution
-    r_lambda: Distribution
-    r_gap: Distribution
-
-
-class RankCorrelation(Result):
-    """Spearman's rho and Kendall's tau-b of two scores over n objects; null for fewer than 3 or constant scores."""
-
-    n: int
-    spearman: float | None
-    kendall: float | None
-
-
-class DensityRatio(Quantiles):
-    """Quantiles of n_sim / n_real over the matched objects, and the shares below a quarter and above four."""
-
-    share_below_quarter: float | None
-    share_above_four: float | None
-
-
-class Unmatched(Result):
-    """Objects of each side in a group, and how many of them the other side lacks; a share of no objects is null."""
-
+    by: str
+    name: str
     n_real: int
     n_not_found: int
-    not_found_share: float | None
     n_sim: int
     n_extra: int
-    extra_share: float | None
+    n_real_points: int
+    missing_share: float | None
+    n_sim_points: int
+    invented_share: float | None
+    scores: dict[str, float | None]
 
 
-class _Band(Result):
-    from_m: float
-    to_m: float | None
+class Findings(Result):
+    """The objects of all pairs together, and the places of the pairs.
 
-
-class RangeBand(Unmatched, _Band):  # in this order the distances come first in JSON
-    """Objects between two distances from the sensor; `to_m` is null if the band has no end."""
-
-
-class RangeFindings(Result):
-    """Objects by distance from the sensor.
-
-    median_matched, median_unmatched : metres; unmatched objects of both sides, each by its own side
-    bands : of fixed edges
-    """
-
-    median_matched: float | None
-    median_unmatched: float | None
-    bands: tuple[RangeBand, ...]
-
-
-class GroupMean(Result):
-    """Mean and standard deviation (n - 1) of a score over the n objects of a group that have it."""
-
-    mean: float | None
-    std: float | None
-    n: int
-
-
-class _Label(Result):
-    label: str
-
-
-class ClassFindings(Unmatched, _Label):  # in this order the label comes first in JSON
-    """The objects of one class; a matched object has the class of its real side.
-
-    scores : of cdc, r_lambda, r_gap
-    """
-
-    n_matched: int
-    scores: dict[str, GroupMean]
-
-
-class ObjectFindings(Result):
-    """Summary of the objects of all pairs: the numbers of the paper's section "Real experiments"."""
-
-    n_pairs: int
-    n_matched: int
-    distributions: ScoreDistributions
-    rank_correlation: RankCorrelation
-    density_ratio: DensityRatio
-    range_m: RangeFindings
-    classes: tuple[ClassFindings, ...]
-
-
-class Findings(ObjectFindings):
-    """The findings as they are recorded.
-
+    groups : objects by range, then by class, the class with most objects first
     n_places : independent places: copies and neighbouring frames count once
     places : by scored pair, the number of its place
     """
 
+    groups: tuple[ObjectGroup, ...]
     n_places: int
     places: dict[str, int]
 
@@ -206,13 +119,24 @@ class Cause(Result):
     limbs: tuple[int, ...] = ()
 
 
+class ChangedCause(Cause):
+    """A cause that changed from one run to another by `estimate`.
+
+    before, after : mean amounts of both runs, simulated minus real; null if unknown
+    verdict : "worse" or "better" for a cause of the sensor or its pose, "changed" if that cannot be told; "" for one of
+        the world, about which the families decide
+    """
+
+    before: float | None
+    after: float | None
+    verdict: str
+
+
 class Piece(Result):
-    """One of the largest missing, invented or moved pieces of surface; columns of table `pieces`.
+    """One of the largest missing, invented or moved pieces of surface, a row of table `pieces`.
 
     side, piece_id : its number on that side; "real" for a missing or moved piece, "sim" for an invented one
     fate : "missing", "invented" or "moved"
-    extents_m : along x, y and z
-    bearing_deg : 0 ahead, positive to the left
     words : class or size, extents and place
     fate_words : fate, with distance and direction of a moved piece
     """
@@ -221,35 +145,15 @@ class Piece(Result):
     side: str
     piece_id: int
     fate: str
-    label: str | None
     n_points: int
-    range_m: float
-    bearing_deg: float
-    extents_m: tuple[float, float, float]
     words: str
     fate_words: str
-
-
-class SurfaceGroup(Result):
-    """Surface of a range band or a class without a counterpart within 0.3 m, over all pairs; shares of object points.
-
-    group : "range" or "class"
-    n_real, n_sim : object points
-    missing_share, invented_share : of the real and of the simulated points; null without points
-    """
-
-    group: str
-    name: str
-    n_real: int
-    missing_share: float | None
-    n_sim: int
-    invented_share: float | None
 
 
 class Caution(Result):
     """A limit to the trust in the numbers.
 
-    kind : failed, to_do, frames, ground, pairs, independence, partition, alignment, or best_case (unknown)
+    kind : to_do, frames, ground, pairs, independence, partition, alignment, or best_case (unknown)
     words : one sentence
     """
 
@@ -272,7 +176,6 @@ class Overview(Result):
     small : displacements that explain too little of the distance to be named, as sentences
     doubts : why points of the scans cannot be trusted, one line for each side and kind
     pieces : the largest pieces
-    surface : coverage by range and by class
     n_aligned, n_badly_aligned : objects with an r_lambda, and those whose alignment is too bad for it
     trust : limits to the trust in the numbers, most important first
     """
@@ -280,7 +183,6 @@ class Overview(Result):
     causes: tuple[Cause, ...]
     unknown: tuple[Unknown, ...]
     pieces: tuple[Piece, ...]
-    surface: tuple[SurfaceGroup, ...]
     n_aligned: int
     n_badly_aligned: int
     trust: tuple[Caution, ...] = ()

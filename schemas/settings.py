@@ -6,8 +6,9 @@ and `--set` assignments over the defaults and names the invalid field.
 
 from __future__ import annotations
 
+import re
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
@@ -59,23 +60,9 @@ def _split_words(value: Any) -> Any:
     return value.replace(",", " ").split() if isinstance(value, str) else value
 
 
-def _numbers(count: int) -> Callable[[Any], Any]:
-    """A function that splits a text into words, of which there must be so many."""
-
-    def split(value: Any) -> Any:
-        words = _split_words(value)
-        if isinstance(words, list | tuple) and len(words) != count:
-            raise ValueError(f"expected {count} numbers, got {value!r}")
-        return words
-
-    return split
-
-
 def _check_columns(value: tuple[str, ...]) -> tuple[str, ...]:
-    if not {"x", "y", "z"} <= set(value):
-        raise ValueError("expected x, y and z among the names")
-    if len(set(value)) != len(value):
-        raise ValueError("expected each name once")
+    if not {"x", "y", "z"} <= set(value) or len(set(value)) != len(value):
+        raise ValueError("expected x, y and z among the names, and each name once")
     return value
 
 
@@ -91,11 +78,11 @@ _Columns = Annotated[
 ]
 _Box = Annotated[
     Annotated[Box, AfterValidator(_check_box)] | None,
-    BeforeValidator(_numbers(6), json_schema_input_type=Box | str),
+    BeforeValidator(_split_words, json_schema_input_type=Box | str),
 ]
 _Position = Annotated[
     tuple[float, float, float] | None,
-    BeforeValidator(_numbers(3), json_schema_input_type=tuple[float, float, float] | str),
+    BeforeValidator(_split_words, json_schema_input_type=tuple[float, float, float] | str),
 ]
 
 
@@ -111,7 +98,6 @@ class InputSettings(_Group):
     include_box : xmin ymin zmin xmax ymax zmax, metres, real sensor's frame: points outside are dropped
     voxel_m : edge of a voxel, metres, real sensor's frame: of each voxel of either side only the first point is kept,
         which thins clouds of a million points; rays and causes of single returns are then unknown
-    sim_flip_y : negate y of the simulated side: the same as sim_frame = "carla"; only with sim_frame "ros"
     sim_frame : axes of the simulated scans, metres; see real_frame
     sensor_position : x y z of the sensor, metres, in the frame of the points, where that is not the sensor's own; of
         both sides
@@ -126,7 +112,6 @@ class InputSettings(_Group):
     exclude_box: _Box = Field(None, examples=[[-1.5, -1.0, -2.0, 2.5, 1.0, 0.5]])
     include_box: _Box = Field(None, examples=[[-50.0, -20.0, -5.0, 50.0, 20.0, 10.0]])
     voxel_m: float | None = Field(None, gt=0, le=10, examples=[0.1])
-    sim_flip_y: bool = False
     real_frame: FrameName = Field(
         "ros",
         description="axes of the real scans, metres: "
@@ -145,20 +130,9 @@ class InputSettings(_Group):
             )
         return self
 
-    @model_validator(mode="after")
-    def _one_word_for_a_mirror(self) -> InputSettings:
-        if self.sim_flip_y and self.sim_frame != "ros":
-            raise ValueError(
-                f'expected sim_frame = "ros" with sim_flip_y = true, got "{self.sim_frame}"; remove sim_flip_y, '
-                'which means sim_frame = "carla"'
-            )
-        return self
-
     def frame_of(self, side: str) -> FrameName:
         """The frame that the scans of a side ("real" or "sim") are recorded in."""
-        if side == "real":
-            return self.real_frame
-        return "carla" if self.sim_flip_y else self.sim_frame
+        return self.real_frame if side == "real" else self.sim_frame
 
     def columns_of(self, side: str) -> tuple[str, ...] | None:
         """The columns of a raw file of a side ("real" or "sim"), if they are not the usual ones."""
@@ -327,7 +301,6 @@ class MetricsSettings(_Group):
     histogram_points : histogram: points sampled per side, all pairs of which are measured
     histogram_bins : histogram: equal bins from 0 to 1
     histogram_order : histogram: order of the Minkowski distance
-    icp_distance_m : ICP: largest distance of corresponding points
     """
 
     baselines: BaselineNames = Field(
@@ -340,7 +313,6 @@ class MetricsSettings(_Group):
     histogram_points: int = Field(2000, ge=2, le=10_000)
     histogram_bins: int = Field(100, ge=2, le=10_000)
     histogram_order: float = Field(2.0, ge=1)
-    icp_distance_m: float = Field(1.0, gt=0)
 
 
 class StabilitySettings(_Group):
@@ -472,10 +444,10 @@ def load(
                 "remove --preset, or that line of the file"
             )
     for word in assignments:
-        name, equals, text = word.partition("=")
-        group, _, setting = name.strip().partition(".")
-        if not equals or not group or not setting or "." in setting:
+        assignment = re.fullmatch(r"\s*(\w+)\.(\w+)\s*=(.*)", word, re.DOTALL)
+        if not assignment:
             raise SettingsError(f"--set {word!r}: expected GROUP.NAME=VALUE, such as graph.k=60")
+        group, setting, text = assignment.groups()
         table = values.setdefault(group, {})
         if not isinstance(table, dict):
             raise SettingsError(f"--set {word!r}: {group} is not a group of settings")
@@ -523,13 +495,11 @@ def _toml_word(value: Any) -> str:
 
 def _first_problem(error: ValidationError) -> str:
     problem = error.errors()[0]
-    if problem["type"] == "extra_forbidden":
-        name = ".".join(map(str, problem["loc"]))
-        known = _known_beside(problem["loc"])
-        return f"setting {name}: no such setting; {suggestion(name, known)}"
     name = ".".join(part for part in problem["loc"] if isinstance(part, str))
-    where = f"setting {name}" if name else "settings"
-    text = f"{where}: {expected_and_got(problem)}"
+    if problem["type"] == "extra_forbidden":
+        known = [other for other in _names() if other.count(".") == name.count(".")]
+        return f"setting {name}: no such setting; {suggestion(name, known)}"
+    text = f"setting {name}: {expected_and_got(problem)}"
     if problem["type"] == "value_error":
         return text
     return f"{text}; fidpipe settings lists the allowed values"
@@ -556,9 +526,9 @@ def expected_and_got(problem: ErrorDetails) -> str:
     return f"{text.partition(', got ')[0]}, got {problem['input']!r}"
 
 
-def _known_beside(location: tuple[int | str, ...]) -> list[str]:
-    group: Any = Settings
-    for part in location[:-1]:
-        group = group.model_fields[part].annotation
-    prefix = ".".join(str(part) for part in location[:-1])
-    return [f"{prefix}.{field}" if prefix else field for field in group.model_fields]
+def _names() -> list[str]:
+    """Names of all groups and settings."""
+    names = []
+    for group, values in Settings():
+        names += [group, *(f"{group}.{name}" for name, _ in values)]
+    return names

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from textwrap import wrap
 from typing import Any
 
@@ -80,13 +81,8 @@ def _comment(text: str) -> list[str]:
 
 
 def _line(name: str, value: Any, allowed: str) -> str:
-    """A setting with its value on one line; tomli_w breaks arrays into several."""
-    import tomli_w
-
-    assignment = (
-        " ".join(tomli_w.dumps({name: value}).split()).replace("[ ", "[").replace(", ]", "]")
-    )
-    return f"{assignment}  # {allowed}".replace("`", "")
+    """A setting with its value on one line: of texts, numbers and lists, JSON is TOML."""
+    return f"{name} = {json.dumps(value)}  # {allowed}".replace("`", "")
 
 
 def allowed(schema: dict[str, Any]) -> str:

@@ -24,18 +24,51 @@ Watch = Callable[[str], AbstractContextManager[None]]
 
 def transform_of(numbers: Sequence[float] | None) -> FloatArray | None:
     """The rigid motion [R | t] of 12 numbers, row by row, (3, 4); None without numbers."""
-    return np.array(numbers, dtype=np.float64).reshape(3, 4) if numbers else None
+    return np.array(numbers, dtype=float).reshape(3, 4) if numbers else None
 
 
-def sums_by_id(values: FloatArray, ids: NDArray[np.integer[Any]], n_ids: int) -> FloatArray:
+def sums_by_id(values: NDArray[Any], ids: NDArray[np.integer[Any]], n_ids: int) -> FloatArray:
     """Sum of each column over the rows of each id, (n_ids, columns).
 
     Parameters
     ----------
-    values : (n, columns) float64
+    values : (n, columns) float64 or bool
     ids : (n,) from 0
     """
     return np.column_stack([np.bincount(ids, column, n_ids) for column in values.T])
+
+
+def rows_by_id(ids: NDArray[np.integer[Any]], n_ids: int = 0) -> list[IndexArray]:
+    """Rows of each id from 0, ascending; negative ids are left out.
+
+    Parameters
+    ----------
+    ids : (n,)
+    n_ids : minimum number of ids
+
+    Examples
+    --------
+    >>> [rows.tolist() for rows in rows_by_id(np.array([1, -1, 1]), 3)]
+    [[], [0, 2], []]
+    """
+    order = np.argsort(ids, kind="stable")
+    n_ids = max(n_ids, int(ids.max(initial=-1)) + 1)
+    return np.split(order, np.searchsorted(ids[order], np.arange(n_ids)))[1:]
+
+
+def azimuths_deg(points: FloatArray) -> FloatArray:
+    """Azimuth of each point seen from the origin, (n,), degrees from x towards y, -180 to 180."""
+    return np.degrees(np.arctan2(points[:, 1], points[:, 0]))
+
+
+def level_m(points: FloatArray) -> FloatArray:
+    """Horizontal distance of each point from the origin, (n,)."""
+    return np.hypot(points[:, 0], points[:, 1])
+
+
+def slopes_deg(points: FloatArray) -> FloatArray:
+    """Elevation of each point seen from the origin, (n,), degrees."""
+    return np.degrees(np.arctan2(points[:, 2], level_m(points)))
 
 
 def unwatched(step: str) -> AbstractContextManager[None]:

@@ -10,24 +10,21 @@ import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.util import find_spec
 
 import numpy as np
 import scipy
 
 from ..schemas.metric_catalogue import METRIC
 from ..schemas.settings import MetricsSettings
-from .arrays import BoolArray, FloatArray, Watch, unwatched
+from .arrays import FloatArray, Watch, level_m, unwatched
 from .coverage import nearest_distances
 from .linalg.assignment import assign_nodes
-from .linalg.nearest import nearest_points, search_tree
+from .linalg.nearest import nearest_points
 from .reference import visiting_order
 from .selection import Selection
 
 _SEED = 0  # of samples
 _MAX_PIVOTS = 10**12  # of the network simplex; far more than it needs, so that it always converges
-_ICP_POINTS = 11  # the library warns of fewer
-_ICP_ITERATIONS = 100
 # Range images of LiDAR4D: rows and columns, degrees from the upper edge to the horizon and to the lower edge, range
 _IMAGE_ROWS, _IMAGE_COLUMNS = 66, 1030
 _IMAGE_UP_DEG, _IMAGE_DEG = 2.0, 26.9
@@ -164,14 +161,13 @@ def f_score(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Bas
     0.5
     """
     to_sim, to_real = nearest_distances(real, sim)
-    score = _f_score(to_sim < settings.f_score_distance_m, to_real < settings.f_score_distance_m)
-    return (Baseline("f_score", score),)
+    return (Baseline("f_score", _f_score(to_sim, to_real, settings.f_score_distance_m)),)
 
 
-def _f_score(is_real_near: BoolArray, is_sim_near: BoolArray) -> float:
+def _f_score(to_sim: FloatArray, to_real: FloatArray, near: float) -> float:
     """2 P R / (P + R), with the shares P of simulated and R of real points near the other side; 0 if both are 0."""
-    recall = float(np.mean(is_real_near))
-    precision = float(np.mean(is_sim_near))
+    recall = float(np.mean(to_sim < near))
+    precision = float(np.mean(to_real < near))
     return 2 * precision * recall / (precision + recall) if precision + recall else 0.0
 
 
@@ -245,54 +241,6 @@ def histogram(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> B
         shares.append(counts / len(distance))
     distance = np.linalg.norm(shares[0] - shares[1], settings.histogram_order)
     return (Baseline("histogram", float(distance)),)
-
-
-def icp(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
-    """Register the simulated points to the real ones by point-to-point ICP: fitness and RMSE.
-
-    Besl and McKay, A method for registration of 3-D shapes, IEEE PAMI 1992, with correspondences up to
-    `icp_distance_m` only; small_gicp's implementation (Koide, small_gicp: efficient and parallel algorithms for point
-    cloud registration, JOSS 2024), started from the identity, one thread. With T the resulting motion and
-    d_y = min_x |x - T y|: fitness = share of y with d_y <= icp_distance_m, rmse = root mean d_y^2 over these, which are
-    the definitions of Open3D's `evaluate_registration` (Zhou, Park and Koltun 2018).
-
-    Both are None without the library (an extra) or with too few points, the RMSE also without correspondences.
-
-    Parameters
-    ----------
-    real, sim : (n, 3), (m, 3) float64, metres
-    """
-    n_fewest = min(len(real), len(sim))
-    if find_spec("small_gicp") is None:
-        missing = 'small_gicp is not installed; pip install "fidpipe[icp]"'
-        return _without_value(missing, "icp_fitness", "icp_rmse_m")
-    if n_fewest < _ICP_POINTS:
-        too_few = f"{n_fewest} points on a side, at least {_ICP_POINTS} are needed for ICP"
-        return _without_value(too_few, "icp_fitness", "icp_rmse_m")
-    import small_gicp
-
-    # Rounding of the normal equations grows with the distance from the origin.
-    centre = real.mean(axis=0)
-    target = real - centre
-    source = sim - centre
-    result = small_gicp.align(
-        small_gicp.PointCloud(target),
-        small_gicp.PointCloud(source),
-        registration_type="ICP",
-        max_correspondence_distance=settings.icp_distance_m,
-        num_threads=1,
-        max_iterations=_ICP_ITERATIONS,
-    )
-    T_real_sim: FloatArray = result.T_target_source
-    moved = source @ T_real_sim[:3, :3].T + T_real_sim[:3, 3]
-    apart, _ = search_tree(target).query(moved)
-    near = apart[apart <= settings.icp_distance_m]
-    reason = None if result.converged else "ICP had not converged"
-    fitness = Baseline("icp_fitness", len(near) / len(apart), reason)
-    if not len(near):
-        reason = f"no points within {settings.icp_distance_m:g} m of each other"
-        return fitness, Baseline("icp_rmse_m", None, reason)
-    return fitness, Baseline("icp_rmse_m", float(np.sqrt(np.mean(near**2))), reason)
 
 
 def _emd(
@@ -392,17 +340,16 @@ def nvs(real: FloatArray, sim: FloatArray) -> Baselines:
     >>> [baseline.value for baseline in nvs(scan, scan)]
     [0.0, 0.0, None, 0.0, 1.0]
     """
-    real_image, sim_image = _range_image(real), _range_image(sim)
-    clipped_real = np.clip(real_image, _LEAST_RANGE_M, _IMAGE_RANGE_M)
-    clipped_sim = np.clip(sim_image, _LEAST_RANGE_M, _IMAGE_RANGE_M)
-    mean_square = float(np.mean((clipped_real - clipped_sim) ** 2))
-    median = float(np.median(np.abs(clipped_real - clipped_sim)))
+    images = np.stack([_range_image(real), _range_image(sim)])
+    error = np.diff(images.clip(_LEAST_RANGE_M, _IMAGE_RANGE_M), axis=0)
+    mean_square = float(np.mean(error**2))
+    median = float(np.median(np.abs(error)))
     psnr = 10 * float(np.log10(_IMAGE_RANGE_M**2 / mean_square)) if mean_square else None
     return (
         Baseline("nvs_depth_rmse_m", math.sqrt(mean_square)),
         Baseline("nvs_depth_medae_m", median),
         Baseline("nvs_depth_psnr_db", psnr, "both images are equal" if psnr is None else None),
-        *_image_points_apart(_points_of_image(real_image), _points_of_image(sim_image)),
+        *_image_points_apart(*map(_points_of_image, images)),
     )
 
 
@@ -413,10 +360,10 @@ def _range_image(points: FloatArray) -> FloatArray:
     """
     range_m = np.linalg.norm(points, axis=1)
     x, y, z = points.T
-    elevation = np.arctan2(z, np.hypot(x, y)) + (_IMAGE_DEG - _IMAGE_UP_DEG) / 180 * np.pi
-    column = np.rint((np.pi - np.arctan2(y, x)) / (2 * np.pi / _IMAGE_COLUMNS)).astype(np.intp)
+    elevation = np.arctan2(z, level_m(points)) + (_IMAGE_DEG - _IMAGE_UP_DEG) / 180 * np.pi
+    column = np.rint((np.pi - np.arctan2(y, x)) / (2 * np.pi / _IMAGE_COLUMNS)).astype(int)
     row_height = _IMAGE_DEG / 180 * np.pi / _IMAGE_ROWS
-    row = np.rint(_IMAGE_ROWS - elevation / row_height).astype(np.intp)
+    row = np.rint(_IMAGE_ROWS - elevation / row_height).astype(int)
     is_inside = (range_m < _IMAGE_RANGE_M) & (row >= 0) & (row < _IMAGE_ROWS)
     is_inside &= (column >= 0) & (column < _IMAGE_COLUMNS)
     pixel = row[is_inside] * _IMAGE_COLUMNS + column[is_inside]
@@ -432,10 +379,9 @@ def _points_of_image(image: FloatArray) -> FloatArray:
     azimuth = -(column - _IMAGE_COLUMNS / 2) / _IMAGE_COLUMNS * 2 * np.pi
     elevation = (_IMAGE_UP_DEG - row / _IMAGE_ROWS * _IMAGE_DEG) / 180 * np.pi
     level = np.cos(elevation)
-    directions = np.column_stack(
-        [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)],
-    )
-    return directions * image[row, column, None]
+    x = level * np.cos(azimuth)
+    y = level * np.sin(azimuth)
+    return np.column_stack([x, y, np.sin(elevation)]) * image[row, column, None]
 
 
 def _image_points_apart(real: FloatArray, sim: FloatArray) -> Baselines:
@@ -446,7 +392,7 @@ def _image_points_apart(real: FloatArray, sim: FloatArray) -> Baselines:
     to_sim, to_real = nearest_distances(real, sim)
     return (
         Baseline("nvs_chamfer_m2", float((to_sim**2).mean() + (to_real**2).mean())),
-        Baseline("nvs_f_score_0p05m2", _f_score(to_sim**2 < _NEAR_M2, to_real**2 < _NEAR_M2)),
+        Baseline("nvs_f_score_0p05m2", _f_score(to_sim**2, to_real**2, _NEAR_M2)),
     )
 
 
@@ -457,7 +403,6 @@ OF_POINTS: dict[str, _OfPoints] = {
     "f_score": f_score,
     "dcd": dcd,
     "histogram": histogram,
-    "icp": icp,
 }
 #: Name in the settings of the scores of whole scans, ground included; objects do not have them.
 OF_SCANS = "nvs"

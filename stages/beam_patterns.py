@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from typing import NamedTuple
 
 import numpy as np
 import scipy
 
 from ..schemas.sensor_models import SENSORS, SensorModel
-from .arrays import BoolArray, FloatArray, IndexArray, IntArray
+from .arrays import BoolArray, FloatArray, IndexArray, IntArray, azimuths_deg, level_m
 
 _HEIGHTS_M = np.round(np.arange(-0.3, 0.301, 0.01), 2)
 _BLOCKS_APART_M = (0.05, 0.12)
@@ -100,7 +100,7 @@ def find_beams(points: FloatArray, ring: IntArray | None = None) -> BeamPattern 
 
 def _find_from(focal_m: float, points: FloatArray, ring: IntArray | None) -> BeamPattern | str:
     """Find beams seen from `focal_m` before the axis; sectors are searched from the axis only."""
-    level = np.hypot(points[:, 0], points[:, 1]) - focal_m
+    level = level_m(points) - focal_m
     is_used = level > _NEAREST_M
     points = points[is_used]
     level = level[is_used]
@@ -116,18 +116,17 @@ def _find_from(focal_m: float, points: FloatArray, ring: IntArray | None) -> Bea
     if focal_m:
         return "returns do not lie on rings from there"
     patterns = [whole]
-    azimuth = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
+    azimuth = azimuths_deg(points)
     for middle in np.arange(-180.0, 180.0, _SECTOR_DEG / 2):
         is_in = np.abs((azimuth - middle + 180.0) % 360.0 - 180.0) < _SECTOR_DEG / 2
         if is_in.sum() >= 1000:
             patterns.append(_read(tangent[is_in], nearness[is_in]))
-    best = None
-    for pattern in patterns:
-        if pattern is None or pattern.explained < _RECOGNISABLE or not recognise(pattern).title:
-            continue
-        if best is None or pattern.explained > best.explained:
-            best = replace(pattern, is_sharp=False)
-    return best or _NO_RINGS
+    known = [
+        replace(pattern, is_sharp=False)
+        for pattern in patterns
+        if pattern and pattern.explained >= _RECOGNISABLE and recognise(pattern).title
+    ]
+    return max(known, key=attrgetter("explained"), default=_NO_RINGS)
 
 
 class Recognition(NamedTuple):
@@ -178,17 +177,20 @@ def recognise(
     if not fits:
         return Recognition("no sensor of the table has such beams")
     best = max(fit.score for fit in fits.values())
-    closest = {title: fit for title, fit in fits.items() if fit.score >= best - 0.02}
-    objections = {
-        title: _disagreement(fit.sensor, step_deg, quantum_m) for title, fit in closest.items()
-    }
-    agreeing = [title for title in closest if not objections[title]]
+    agreeing = []
+    objections = []
+    for title, fit in fits.items():
+        if fit.score < best - 0.02:
+            continue
+        if objection := _disagreement(fit.sensor, step_deg, quantum_m):
+            objections.append(f"the beams of {title}, but {objection}")
+        else:
+            agreeing.append(title)
     if not agreeing:
-        texts = [f"the beams of {title}, but {objections[title]}" for title in closest]
-        return Recognition("; ".join(texts))
+        return Recognition("; ".join(objections))
     if len(agreeing) > 2:
         return Recognition(f"these beams fit {', '.join(agreeing)} equally well")
-    return Recognition("", " or ".join(agreeing), closest[agreeing[0]].n_beams)
+    return Recognition("", " or ".join(agreeing), fits[agreeing[0]].n_beams)
 
 
 class _Fit(NamedTuple):
@@ -224,13 +226,12 @@ def _tables() -> Iterator[tuple[str, FloatArray, SensorModel]]:
 def _fit(observed: FloatArray, table: FloatArray, unit_deg: float, pattern: BeamPattern) -> float:
     """Quality of fit of beams to a table: mean closeness times the share of the table that is detected; 0 if no fit."""
     exact_deg = np.minimum(max(_EXACT_DEG, pattern.width_deg), _FIT * _spacing(table))
-    exact = _matched(observed, table, exact_deg)
-    if score := _score(exact, observed, table, 0.95, 0.9):
+    score = _score(observed, table, exact_deg, 0.95, 0.9)
+    has_same_number = abs(len(observed) - len(table)) <= 0.2 * len(table)
+    if score or not unit_deg or pattern.is_even or not has_same_number:
         return score
-    if not unit_deg or pattern.is_even or abs(len(observed) - len(table)) > 0.2 * len(table):
-        return 0.0
     free = _stretched(observed, table, unit_deg)
-    return _score(_matched(observed, free, _FIT * _spacing(free)), observed, free, 0.85, 0.85)
+    return _score(observed, free, _FIT * _spacing(free), 0.85, 0.85)
 
 
 def _stretched(observed: FloatArray, table: FloatArray, unit_deg: float) -> FloatArray:
@@ -256,27 +257,23 @@ def _stretched(observed: FloatArray, table: FloatArray, unit_deg: float) -> Floa
     return np.concatenate([lower[low], upper[high]])
 
 
-def _matched(observed: FloatArray, table: FloatArray, tolerance_deg: FloatArray) -> FloatArray:
-    """Closeness of the nearest observed beam to each beam of the table, (t,): 1 at it, 0 at the tolerance, or -1."""
-    closeness: FloatArray = 1.0 - _distance(table, observed) / tolerance_deg
-    return np.where(closeness >= 0, closeness, -1.0)
-
-
 def _score(
-    closeness: FloatArray,
     observed: FloatArray,
     table: FloatArray,
+    tolerance_deg: FloatArray,
     of_observed: float,
     of_table: float,
 ) -> float:
+    """Quality of fit with a tolerance for each beam of the table; 0 if too small shares of the beams agree."""
+    closeness = 1.0 - _distance(table, observed) / tolerance_deg
     is_seen = closeness >= 0
     is_within = (table >= observed[0] - 0.2) & (table <= observed[-1] + 0.2)
-    enough = (
-        is_seen.sum() >= of_observed * len(observed)
-        and is_seen.sum() >= of_table * is_within.sum()
-        and is_seen.sum() >= max(0.7 * len(table), _MIN_BEAMS)
+    n_fewest = max(
+        of_observed * len(observed), of_table * is_within.sum(), 0.7 * len(table), _MIN_BEAMS
     )
-    return float((0.5 + 0.5 * closeness[is_seen].mean()) * is_seen.mean()) if enough else 0.0
+    if is_seen.sum() < n_fewest:
+        return 0.0
+    return float((0.5 + 0.5 * closeness[is_seen].mean()) * is_seen.mean())
 
 
 def _distance(places: FloatArray, ascending: FloatArray) -> FloatArray:
@@ -296,12 +293,12 @@ def _read(tangent: FloatArray, nearness: FloatArray) -> BeamPattern | None:
     is_far = nearness < 1.0 / _FARTHER_M
     if is_far.sum() < 100:
         return None
-    heights, block_deg = _origin_heights(tangent[is_far], nearness[is_far])
+    far = np.stack([tangent, nearness])[:, is_far]
+    heights, block_deg = _origin_heights(*far)
     if heights:
-        tangent = tangent[is_far]
-        nearness = nearness[is_far]
+        tangent, nearness = far
     elevation = _elevation_of_beams(tangent, nearness, heights, block_deg)
-    bins = ((elevation + 90.0) / _BIN_DEG).astype(np.intp)
+    bins = ((elevation + 90.0) / _BIN_DEG).astype(int)
     count = np.bincount(bins, minlength=int(180 / _BIN_DEG) + 1)
     candidates = []
     for width in _WIDTHS_DEG:
@@ -313,9 +310,8 @@ def _read(tangent: FloatArray, nearness: FloatArray) -> BeamPattern | None:
     explained, width, peaks = max(candidates, key=itemgetter(0))
     ordered = np.sort(elevation)
     peaks_deg = (peaks + 0.5) * _BIN_DEG - 90.0
-    starts = np.searchsorted(ordered, peaks_deg - 2 * width)
-    stops = np.searchsorted(ordered, peaks_deg + 2 * width)
-    centre = np.array([np.median(ordered[a:b]) for a, b in zip(starts, stops, strict=True)])
+    limits = np.searchsorted(ordered, [peaks_deg - 2 * width, peaks_deg + 2 * width])
+    centre = np.array([np.median(ordered[start:stop]) for start, stop in limits.T])
     return BeamPattern(centre, width, _is_even(centre), heights, block_deg, explained)
 
 
@@ -323,8 +319,7 @@ def _by_ring(
     tangent: FloatArray, nearness: FloatArray, ring: IntArray, whole: BeamPattern | None
 ) -> BeamPattern | None:
     """Beams from rings; None if there are too few, or if rings do not have one elevation each."""
-    heights = whole.origin_height_m if whole else ()
-    block_deg = whole.block_deg if whole else -90.0
+    heights, block_deg = (whole.origin_height_m, whole.block_deg) if whole else ((), -90.0)
     elevation = _elevation_of_beams(tangent, nearness, heights, block_deg)
     is_far = nearness < 1.0 / _FARTHER_M
     parts = []
@@ -338,11 +333,10 @@ def _by_ring(
     quartiles = np.array([np.quantile(part, (0.25, 0.5, 0.75)) for part in parts])
     if len(quartiles) < 4:
         return None
-    quartiles = quartiles[np.argsort(quartiles[:, 1])]
-    width = float(np.median(quartiles[:, 2] - quartiles[:, 0]))
-    if width >= np.median(np.diff(quartiles[:, 1])):  # also where all rings are one
+    low, centre, high = quartiles[np.argsort(quartiles[:, 1])].T
+    width = float(np.median(high - low))
+    if width >= np.median(np.diff(centre)):  # also where all rings are one
         return None
-    centre = quartiles[:, 1]
     width = max(width, _WIDTHS_DEG[0])
     return BeamPattern(centre, width, _is_even(centre), heights, block_deg, 1.0)
 
@@ -351,7 +345,7 @@ def elevation_of_points(
     points: FloatArray, heights: tuple[float, ...], block_deg: float, focal_m: float = 0.0
 ) -> FloatArray:
     """Elevation of each point seen from the origin of its beam, degrees."""
-    level = np.maximum(np.hypot(points[:, 0], points[:, 1]) - focal_m, 1e-9)
+    level = np.maximum(level_m(points) - focal_m, 1e-9)
     return _elevation_of_beams(points[:, 2] / level, 1.0 / level, heights, block_deg)
 
 
@@ -391,8 +385,8 @@ def _densities(tangent: FloatArray, nearness: FloatArray) -> tuple[FloatArray, F
     density = np.zeros((len(_HEIGHTS_M), n_bands))
     for row, height in enumerate(_HEIGHTS_M):
         elevation = np.degrees(np.arctan(tangent - height * nearness))
-        bins = ((elevation + 90.0) / _BAND_BIN_DEG).astype(np.intp).clip(0, n_bins - 1)
-        count = np.bincount(bins, minlength=n_bins).reshape(n_bands, per_band).astype(np.float64)
+        bins = ((elevation + 90.0) / _BAND_BIN_DEG).astype(int).clip(0, n_bins - 1)
+        count = np.bincount(bins, minlength=n_bins).reshape(n_bands, per_band).astype(float)
         total = count.sum(axis=1)
         pairs = np.maximum((count * (count - 1)).sum(axis=1), 1.0)
         most = np.maximum(total * (total - 1), 1.0)
@@ -413,29 +407,25 @@ def _block_heights(
     lower : (heights, bands) density of all bands up to each
     is_split : (bands,) True where both blocks have enough returns
     """
-    best = -np.inf
-    heights = (0.0, 0.0)
-    block_deg = -90.0
-    for row, height in enumerate(_HEIGHTS_M):
+    candidates = [(-np.inf, (0.0, 0.0), -90.0)]
+    for row, height in enumerate(_HEIGHTS_M.tolist()):
         drop = height - _HEIGHTS_M
         is_below = (drop > _BLOCKS_APART_M[0] - 1e-6) & (drop < _BLOCKS_APART_M[1] + 1e-6)
-        rows = np.flatnonzero(is_below)
-        if not len(rows) or not is_split.any():
+        if not is_below.any():
             continue
-        of_both = lower[rows].max(axis=0) + lower[row, -1] - lower[row]
-        band = int(np.where(is_split, of_both, -np.inf).argmax())
-        if of_both[band] > best:
-            best = float(of_both[band])
-            lowest = rows[lower[rows, band].argmax()]
-            heights = (float(_HEIGHTS_M[lowest]), float(height))
-            block_deg = _BAND_DEG * (band + 1) - 90.0
-    return best, heights, block_deg
+        below = lower[is_below]
+        of_both = np.where(is_split, below.max(axis=0) + lower[row, -1] - lower[row], -np.inf)
+        band = int(of_both.argmax())
+        lowest = float(_HEIGHTS_M[is_below][below[:, band].argmax()])
+        block_deg = _BAND_DEG * (band + 1) - 90.0
+        candidates.append((of_both[band], (lowest, height), block_deg))
+    return max(candidates, key=itemgetter(0))
 
 
 def _peaks(count: IndexArray, width_deg: float) -> IndexArray:
     """Bins of peaks of the smoothed count: prominent by half their height, and with enough returns."""
     sigma = width_deg / _BIN_DEG
-    smooth = scipy.ndimage.gaussian_filter1d(count.astype(np.float64), sigma, mode="constant")
+    smooth = scipy.ndimage.gaussian_filter1d(count.astype(float), sigma, mode="constant")
     smooth = smooth * np.sqrt(2 * np.pi) * sigma
     peaks, shape = scipy.signal.find_peaks(smooth, height=_MIN_RETURNS, prominence=_MIN_RETURNS / 2)
     return peaks[shape["prominences"] > 0.5 * smooth[peaks]]
@@ -444,9 +434,9 @@ def _peaks(count: IndexArray, width_deg: float) -> IndexArray:
 def _explained(count: IndexArray, peaks: IndexArray, width_deg: float) -> float:
     """(s - c) / (1 - c): s is the share of returns within two widths of a peak, c the share of these angles."""
     reach = round(2 * width_deg / _BIN_DEG)
-    near: BoolArray = np.zeros(len(count), dtype=np.bool_)
-    for offset in range(-reach, reach + 1):
-        near[(peaks + offset).clip(0, len(count) - 1)] = True
+    near: BoolArray = np.zeros(len(count), dtype=bool)
+    around = peaks + np.arange(-reach, reach + 1)[:, None]
+    near[around.clip(0, len(count) - 1)] = True
     low, high = np.searchsorted(np.cumsum(count) / count.sum(), (0.005, 0.995))
     within = slice(int(low), int(high) + 1)
     by_chance = float(near[within].mean())

@@ -67,8 +67,7 @@ def canonical_ids(labels: NDArray[np.integer], order: IntArray | None = None) ->
         return_inverse=True,
         return_counts=True,
     )
-    new_id = np.empty(len(size), dtype=np.int32)
-    new_id[np.lexsort((first, -size))] = np.arange(len(size), dtype=np.int32)
+    new_id = np.argsort(np.lexsort((first, -size)))
     canonical = np.empty(len(labels), dtype=np.int32)
     canonical[order] = new_id[dense]
     return canonical
@@ -78,8 +77,7 @@ def _scikit_network(n_nodes: int, edges: Edges, seed: int, order: IntArray | Non
     """Louvain in the node order of `shuffle_nodes=True`, but sorting the shuffled matrix costs a quarter."""
     if order is None:
         order = np.random.RandomState(seed).permutation(n_nodes).astype(np.int32)
-    place = np.empty(n_nodes, dtype=np.int32)
-    place[order] = np.arange(n_nodes, dtype=np.int32)
+    place = np.argsort(order).astype(np.int32)
     return _louvain(_shuffled_adjacency(n_nodes, edges, order, place))[place]
 
 
@@ -119,9 +117,7 @@ def _louvain(adjacency: scipy.sparse.csr_matrix) -> IntArray:
         _, labels = np.unique(labels, return_inverse=True)
         community = labels[community]
         starts = np.arange(n + 1, dtype=np.int32)
-        membership = scipy.sparse.csr_matrix(
-            (np.ones(n, np.bool_), labels.astype(np.int32), starts)
-        )
+        membership = scipy.sparse.csr_matrix((np.ones(n, bool), labels.astype(np.int32), starts))
         adjacency = membership.T.tocsr() @ (adjacency @ membership)
         weights = membership.T @ weights
         if adjacency.shape[0] == 1 or gain <= _TOLERANCE_AGGREGATION:
@@ -140,7 +136,7 @@ def _shuffled_adjacency(
     half.has_sorted_indices = False
     half = half.T.tocsr()
     adjacency = half + half.T.tocsr()
-    adjacency.data = adjacency.data.astype(np.float64)
+    adjacency.data = adjacency.data.astype(float)
     return adjacency
 
 
@@ -155,7 +151,7 @@ def _python_louvain(n_nodes: int, edges: Edges, seed: int, order: IntArray | Non
     src, dst = ends[:, first]
     graph = networkx.Graph()
     graph.add_nodes_from(range(n_nodes))
-    weight = edges.length_m[first].astype(np.float64)
+    weight = edges.length_m[first].astype(float)
     graph.add_weighted_edges_from(zip(src.tolist(), dst.tolist(), weight.tolist(), strict=True))
     community_by_node = community.best_partition(graph, random_state=seed)
     return np.array([community_by_node[node] for node in place.tolist()], dtype=np.int32)

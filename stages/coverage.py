@@ -6,13 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .arrays import BoolArray, FloatArray, IntArray
+from .arrays import BoolArray, FloatArray, IntArray, rows_by_id, sums_by_id
 from .linalg.nearest import search_tree
 
 #: A point is covered if the other side has a point within this distance.
 COVERAGE_DISTANCES_M = (0.1, 0.3, 1.0)
-#: Limits of the covered share for an unmatched object whose surface is on the other side, and for one whose is not.
-_THERE, _ABSENT = 0.8, 0.2
 
 
 @dataclass(frozen=True)
@@ -29,22 +27,6 @@ class Coverage:
     covered: FloatArray
     median_distance_m: FloatArray
     road_share: FloatArray
-
-
-def surface_state(covered: float) -> str:
-    """State of an unmatched object by the share of its points with a point of the other side within 0.3 m.
-
-    Above 0.8 the other side has its surface and only partitions it differently ("there"), up to 0.2 the surface is
-    absent, between them it is partly there. The limits are defined by fidpipe.
-
-    Examples
-    --------
-    >>> surface_state(0.9), surface_state(0.5), surface_state(0.2)
-    ('there', 'partly', 'absent')
-    """
-    if covered > _THERE:
-        return "there"
-    return "absent" if covered <= _ABSENT else "partly"
 
 
 def nearest_distances(real: FloatArray, sim: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -107,12 +89,13 @@ def cover(
     labels = labels[inside]
     n_points = np.bincount(labels, minlength=n_ids).astype(np.int32)
     road = np.full(len(n_points), np.nan)
+    is_near = distance_m[:, None] <= np.array(COVERAGE_DISTANCES_M)
     with np.errstate(invalid="ignore"):
         if is_road is not None:
             road = np.bincount(labels, is_road[inside], len(n_points)) / n_points
-        within = [distance_m <= reach_m for reach_m in COVERAGE_DISTANCES_M]
-        shares = [np.bincount(labels, is_near, len(n_points)) / n_points for is_near in within]
-    in_order = distance_m[np.argsort(labels, kind="stable")]
-    by_object = np.split(in_order, np.cumsum(n_points)[:-1])
-    median_m = [np.median(values) if len(values) else np.nan for values in by_object]
-    return Coverage(n_points, np.column_stack(shares), np.array(median_m), road)
+        shares = sums_by_id(is_near, labels, len(n_points)) / n_points[:, None]
+    median_m = np.full(len(n_points), np.nan)
+    for i, rows in enumerate(rows_by_id(labels, n_ids)):
+        if len(rows):
+            median_m[i] = np.median(distance_m[rows])
+    return Coverage(n_points, shares, median_m, road)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -18,7 +19,7 @@ BEHIND_DEG = 180.0
 SEAMS_DEG = (BEHIND_DEG, 0.0, 90.0, -90.0)
 _COARSE_REACHES_M = (1.5, 1.5)
 _CLEARLY = 0.93  # misfit of another seam, over that behind
-_IS_ANGLE = np.isin(PARAMETERS, ("roll", "pitch", "yaw"))
+_IS_ANGLE = np.isin(PARAMETERS, ("roll", "pitch", "yaw", "motion turning"))
 _VOXEL_M = 0.5
 _MOST_PLACES = 6000
 _NEIGHBOURS = 16
@@ -27,7 +28,7 @@ _REACHES_M = (1.5, 1.5, 1.0, 1.0, 0.7, 0.7)
 _FINE_REACH_M, _FINE_STEPS = 0.5, 8
 _TUKEY, _LEAST_SPREAD_M = 4.685, 0.01  # efficiency of 95 % under normal errors
 #: Standard deviations of the parameters; radians.
-_PRIOR = np.array([1.0, 1.0, 1.0, 0.05, 0.05, 0.05, 0.05, 0.5, 3.0, 3.0, 0.5])
+_PRIOR = np.array([1.0, 1.0, 1.0, 0.05, 0.05, 0.05, 0.05, 0.5, 3.0, 3.0, 0.5, 0.5])
 #: If the variance of the road's height stays above this part of its prior, hardly anything but the road shows a height:
 #: then the road is as high as the world, and large information keeps the difference at 0.
 _UNKNOWN, _FIXED = 0.5, 1e9
@@ -39,7 +40,7 @@ _NOISE_M, _CORRELATED = 0.1, 20  # of a distance to a plane, and the places that
 class Displacement:
     """Displacement of the simulated side: x_sim = x + displacement(x).
 
-    values : (11,) float64, of `PARAMETERS`
+    values : (12,) float64, of `PARAMETERS`
     seam_deg : azimuth at which a sweep begins and ends; the pose is right in the opposite direction
     """
 
@@ -87,17 +88,16 @@ def fit_displacement(real: cKDTree, sim: cKDTree, is_ground: BoolArray) -> Displ
     places = planes.mean[is_plane]
     normal = planes.normal[is_plane]
     is_low = is_ground[rows[is_plane]]
-    values = fit = None
-    least = np.inf
+    candidates = []
     for seam_deg in SEAMS_DEG:
-        other = _Fit(places, normal, _derivatives(places, is_low, seam_deg), sim, seam_deg)
-        start = other.steps(np.zeros(len(PARAMETERS)), _COARSE_REACHES_M)
-        misfit = np.inf if start is None else other.misfit(start)
-        if misfit < least:
-            values, fit = start, other
-            least = _CLEARLY * misfit if seam_deg == BEHIND_DEG else misfit
-    if values is None or fit is None:
+        fit = _Fit(places, normal, _derivatives(places, is_low, seam_deg), sim, seam_deg)
+        values = fit.steps(np.zeros(len(PARAMETERS)), _COARSE_REACHES_M)
+        if values is not None:
+            weight = _CLEARLY if seam_deg == BEHIND_DEG else 1.0
+            candidates.append((weight * fit.misfit(values), values, fit))
+    if not candidates:
         return None
+    _, values, fit = min(candidates, key=itemgetter(0))
     values = fit.steps(values, (*_REACHES_M, *[_FINE_REACH_M] * _FINE_STEPS))
     if values is None:
         return None
@@ -109,7 +109,7 @@ class _Fit:
     """Planes of the real surface, and the simulated points that are fitted to them.
 
     places, normal : (n, 3) of each plane
-    derivatives : (11, 3, n) of each place by the parameters
+    derivatives : (12, 3, n) of each place by the parameters
     sim : search tree of the simulated points
     """
 
@@ -121,37 +121,31 @@ class _Fit:
 
     def steps(self, values: FloatArray, reaches_m: Sequence[float]) -> FloatArray | None:
         """Better parameters after a step with each reach; None if too few planes have any points within."""
-        slopes = np.einsum("pkn,nk->np", self.derivatives, self.normal)
+        all_slopes = np.einsum("pkn,nk->np", self.derivatives, self.normal)
         for reach_m in reaches_m:
-            better = self._step(values, slopes, reach_m)
-            if better is None:
+            is_fine = reach_m == _FINE_REACH_M
+            n_near = _NEIGHBOURS if is_fine else 1
+            distance, near = self.sim.query(
+                self.places + _displaced_by(values, self.derivatives),
+                k=range(1, 1 + n_near),
+                distance_upper_bound=reach_m,
+            )
+            met = np.flatnonzero(np.isfinite(distance[:, 0]))
+            if len(met) < 10 * len(PARAMETERS):
                 return None
-            values = better
+            is_near = np.isfinite(distance[met])[..., None]
+            near = np.where(is_near[..., 0], near[met], 0)
+            points = (self.sim.data[near] * is_near).sum(axis=1) / is_near.sum(axis=1)
+            off_m = ((points - self.places[met]) * self.normal[met]).sum(axis=1)
+            slopes = all_slopes[met]
+            weighted = slopes / (_NOISE_M**2 * _CORRELATED)
+            if is_fine:
+                weighted *= _biweight(off_m - slopes @ values)[:, None]
+            information = weighted.T @ slopes + np.diag(_PRIOR**-2.0)
+            if np.linalg.inv(information)[_ROAD, _ROAD] > _UNKNOWN * _PRIOR[_ROAD] ** 2:
+                information[_ROAD, _ROAD] += _FIXED
+            values = np.linalg.solve(information, weighted.T @ off_m)
         return values
-
-    def _step(self, values: FloatArray, slopes: FloatArray, reach_m: float) -> FloatArray | None:
-        is_fine = reach_m == _FINE_REACH_M
-        n_near = _NEIGHBOURS if is_fine else 1
-        distance, near = self.sim.query(
-            self.places + _displaced_by(values, self.derivatives),
-            k=range(1, 1 + n_near),
-            distance_upper_bound=reach_m,
-        )
-        met = np.flatnonzero(np.isfinite(distance[:, 0]))
-        if len(met) < 10 * len(PARAMETERS):
-            return None
-        is_near = np.isfinite(distance[met])
-        total = (self.sim.data[np.where(is_near, near[met], 0)] * is_near[..., None]).sum(axis=1)
-        points = total / is_near.sum(axis=1)[:, None]
-        gap = ((points - self.places[met]) * self.normal[met]).sum(axis=1)
-        weighted = slopes[met] / (_NOISE_M**2 * _CORRELATED)
-        if is_fine:
-            weighted *= _biweight(gap - slopes[met] @ values)[:, None]
-        information = weighted.T @ slopes[met] + np.diag(_PRIOR**-2.0)
-        if np.linalg.inv(information)[_ROAD, _ROAD] > _UNKNOWN * _PRIOR[_ROAD] ** 2:
-            information[_ROAD, _ROAD] += _FIXED
-        better: FloatArray = np.linalg.solve(information, weighted.T @ gap)
-        return better
 
     def misfit(self, values: FloatArray) -> float:
         """Mean distance of the simulated points from the displaced planes, each counted up to half a metre."""
@@ -171,7 +165,7 @@ def _biweight(residual: FloatArray) -> FloatArray:
 
 
 def _derivatives(points: FloatArray, is_ground: BoolArray, seam_deg: float) -> FloatArray:
-    """(11, 3, n) derivative of each point's position by the parameters, angles in radians."""
+    """(12, 3, n) derivative of each point's position by the parameters, angles in radians."""
     derivatives = np.zeros((len(PARAMETERS), 3, len(points)))
     x, y, z = points.T
     derivatives[[0, 1, 2], [0, 1, 2]] = 1.0
@@ -186,7 +180,8 @@ def _derivatives(points: FloatArray, is_ground: BoolArray, seam_deg: float) -> F
     since_seam = np.arctan2(y, x) - np.radians(seam_deg)
     turn = np.mod(since_seam, 2 * np.pi) / (2 * np.pi) - 0.5
     derivatives[8, 0] = derivatives[9, 1] = turn
-    derivatives[10, 2] = is_ground
+    derivatives[10] = turn * derivatives[5]
+    derivatives[11, 2] = is_ground
     return derivatives
 
 

@@ -15,7 +15,7 @@ import scipy
 
 from ..schemas.data_files import read_data
 from ..schemas.settings import FRAME_AXES, Box, FrameName, InputSettings
-from .arrays import BoolArray, FloatArray, IndexArray
+from .arrays import BoolArray, FloatArray, IndexArray, level_m
 from .clean import as_ros, clean_scan, inside
 from .thinning import shares_voxel
 from .trust import is_far_from_origin
@@ -465,10 +465,7 @@ def _setting(candidate: _Candidate, settings: InputSettings, motion: FloatArray)
     if real_frame != present_real:
         parts.append(f"input.real_frame={real_frame}")
     if sim_frame != present_sim:
-        if settings.sim_flip_y:
-            parts.append("input.sim_flip_y=false")
-        if sim_frame != "ros" or not settings.sim_flip_y:
-            parts.append(f"input.sim_frame={sim_frame}")
+        parts.append(f"input.sim_frame={sim_frame}")
     if not np.allclose(new_motion, motion, atol=1e-9):
         numbers = " ".join(f"{value + 0.0:.5g}" for value in np.round(new_motion, 5).ravel())
         parts.append(f'T_real_sim "{numbers}" in pairs.csv')
@@ -506,7 +503,7 @@ def _frames_and_motion(
 def _thinned(points: FloatArray, settings: InputSettings, side: str) -> FloatArray:
     """One point per voxel, the first in the order of the scan, of the measurements within reach of the sensor."""
     with np.errstate(over="ignore"):  # infinite distances are out of reach
-        is_near = np.hypot(points[:, 0], points[:, 1]) < _REACH_M
+        is_near = level_m(points) < _REACH_M
         near = points[is_near & (np.abs(points[:, 2]) < _REACH_M)]
     all_points = settings.model_copy(update={"include_box": None, "voxel_m": None})
     first = near[~shares_voxel(near, _VOXEL_M)]

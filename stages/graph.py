@@ -75,13 +75,12 @@ def build_graph(points: FloatArray, settings: GraphSettings) -> Edges:
     src = np.repeat(np.arange(n, dtype=np.int32), np.diff(pairs.indptr))
     dst = pairs.indices
     length_m = np.empty(len(src), dtype=np.float32)
-    is_near = np.ones(len(src), dtype=np.bool_)
+    is_near = np.empty(len(src), dtype=bool)
+    most_m = np.inf if settings.edges == "union" else settings.tau_m
     for start in range(0, len(src), _TILE_PAIRS):
         tile = slice(start, start + _TILE_PAIRS)
-        distance_m = _distance(points, src[tile], dst[tile])
-        length_m[tile] = distance_m
-        if settings.edges == "intersection":
-            is_near[tile] = distance_m <= settings.tau_m
+        length_m[tile] = distance_m = _distance(points, src[tile], dst[tile])
+        is_near[tile] = distance_m <= most_m
     if is_near.all():
         return Edges(src, dst, length_m)
     return Edges(src[is_near], dst[is_near], length_m[is_near])
@@ -93,9 +92,7 @@ def _reject_crowd(points: FloatArray, near_m: float, settings: GraphSettings) ->
     if n_pairs <= MAX_CLOSE_PAIRS:
         return
     voxel_m = smallest_voxel(points, lambda few: _n_close_pairs(few, near_m) <= MAX_CLOSE_PAIRS)
-    thin = (
-        "" if voxel_m is None else f"set input.voxel_m={voxel_m:g}, which thins both sides alike, "
-    )
+    thin = f"set input.voxel_m={voxel_m:g}, which thins both sides alike, " if voxel_m else ""
     raise StageError(
         f"expected at most {MAX_CLOSE_PAIRS} pairs of points within {near_m:g} m of each other, "
         f"got {n_pairs}; {thin}lower graph.tau_m (now {settings.tau_m:g}), or raise input.min_range_m"
@@ -126,7 +123,7 @@ def _nearest(
     tree = scipy.spatial.cKDTree(points, leafsize=_LEAF_SIZE)
     neighbours = np.empty((n, k), dtype=np.int32)
     farthest_m = np.empty(n)
-    is_open = np.empty(n, dtype=np.bool_)
+    is_open = np.empty(n, dtype=bool)
     for start in range(0, n, _TILE_POINTS):
         rows = np.arange(start, min(start + _TILE_POINTS, n))
         distance_m, nearest = tree.query(points[rows], k=min(k + 2, n))
@@ -141,7 +138,7 @@ def _nearest(
         precedence = np.argsort(np.lexsort(points.T[::-1]))
     for i in np.flatnonzero(is_open):  # again, from all points within the distance of the k-th
         within_m = farthest_m[i] * (1 + _SLACK)
-        ball = np.array(tree.query_ball_point(points[i], within_m), dtype=np.intp)
+        ball = np.array(tree.query_ball_point(points[i], within_m), dtype=int)
         ball = ball[ball != i]
         apart_m = _distance(points, np.full(len(ball), i), ball)
         neighbours[i] = ball[np.lexsort((precedence[ball], apart_m))[:k]]
@@ -162,7 +159,7 @@ def _matrix_of(neighbours: IntArray, is_chosen: BoolArray) -> scipy.sparse.csr_m
     n = len(neighbours)
     starts = np.append(0, np.cumsum(np.count_nonzero(is_chosen, axis=1)))
     ends = neighbours[is_chosen]
-    return scipy.sparse.csr_matrix((np.ones(len(ends), np.bool_), ends, starts), shape=(n, n))
+    return scipy.sparse.csr_matrix((np.ones(len(ends), bool), ends, starts), shape=(n, n))
 
 
 def _pairs_within(points: FloatArray, chosen: IndexArray, tau_m: float) -> scipy.sparse.csr_matrix:
@@ -191,7 +188,7 @@ def _pairs_within(points: FloatArray, chosen: IndexArray, tau_m: float) -> scipy
         all_dst.append(np.maximum(*ends))
     src, dst = np.concatenate(all_src), np.concatenate(all_dst)
     del all_src, all_dst
-    is_pair = np.ones(len(src), dtype=np.bool_)
+    is_pair = np.ones(len(src), dtype=bool)
     pairs = scipy.sparse.coo_matrix((is_pair, (src, dst)), shape=(n, n)).tocsr()
     pairs.sort_indices()
     return pairs

@@ -72,8 +72,8 @@ def remove_road(
     settings : of input and ground
     side : "real" or "sim"
     T_real_sim : (3, 4) float64, of the simulated side
-    real_cut, real_points : for the simulated side, the real side's cut and its (m, 3) clean points; used if
-        `ground.shared` or `ground.peak` require them
+    real_cut, real_points : for the simulated side, the real side's cut if `ground.shared` or `ground.peak` require it,
+        and for the latter its (m, 3) clean points; see `remove_ground`
     watch : entered around the steps clean and ground
 
     Raises
@@ -81,20 +81,14 @@ def remove_road(
     StageError
         Fewer than 8 points are left.
     """
-    ground = settings.ground
     with watch("clean"):
         frame = settings.input.frame_of(side)
         clean = clean_scan(points, settings.input, frame=frame, T_real_sim=T_real_sim)
     n_left = len(clean.points)
     if n_left < MIN_OBJECT_POINTS:
-        raise StageError(too_few_left(n_left, MIN_OBJECT_POINTS, clean.dropped, settings.input))
-    if ground.shared:
-        real_points = None
-    elif ground.peak != "real":
-        real_cut = None
+        raise StageError(too_few_left(n_left, MIN_OBJECT_POINTS, clean.dropped))
     with watch("ground"):
-        cut = remove_ground(clean.points, ground, real_cut, real_points)
-    return clean, cut
+        return clean, remove_ground(clean.points, settings.ground, real_cut, real_points)
 
 
 def remove_ground(
@@ -118,7 +112,7 @@ def remove_ground(
 
     Parameters
     ----------
-    points : (n, 3) float64, metres, cleaned
+    points : (n, 3) float64, metres, cleaned, at least 8
     settings : method and thresholds
     shared : the cut of the real side, applied unchanged (`ground.shared`), or moved by the height of this side's road
         above the real one if `real_points` are given (`ground.peak = "real"`), and then with the ground flags and
@@ -128,34 +122,21 @@ def remove_ground(
     Raises
     ------
     StageError
-        Fewer than 8 points before or after the cut; or patchwork is requested and not installed.
+        Fewer than 8 points after the cut; or patchwork is requested and not installed.
     """
-    if len(points) < MIN_OBJECT_POINTS:
-        raise StageError(
-            f"expected at least {MIN_OBJECT_POINTS} points after cleaning, got {len(points)}; "
-            "look at the dropped points in fidpipe check, and at input.min_range_m and input.max_range_m"
-        )
     notes: list[str] = []
-    if shared is not None and real_points is not None:
-        shared = _follow_road(shared, real_points, points)
-        if shared is None:
-            notes.append(
-                f"fewer than {MIN_COMMON_CELLS} cells within {NEAR_M:.0f} m have points of both sides; "
-                "the road's peak is that of this side only"
-            )
-    if shared is None:
-        axis, tilt_deg = _vertical_axis(points, notes)
-        height = points @ axis
-        peak_m = _find_peak(points, height, notes)
-    else:
+    if shared and real_points is not None:
+        shared = _follow_road(shared, real_points, points, notes)
+    if shared:
         axis, tilt_deg, peak_m = shared.axis, shared.tilt_deg, shared.peak_m
-        height = points @ axis
-
+    else:
+        axis, tilt_deg = _vertical_axis(points, notes)
+        peak_m = _find_peak(points, points @ axis, notes)
+    height = points @ axis
     is_ground, threshold_m, loss, iterations = _cut(points, height, peak_m, settings, shared)
-    if shared is not None and real_points is not None:
-        on_road = _on_real_road(points, height - peak_m, shared, real_points, settings.prior_m)
-        is_ground = is_ground | on_road
-    n_left = len(points) - int(np.count_nonzero(is_ground))
+    if shared and real_points is not None:
+        is_ground |= _on_real_road(points, height - peak_m, shared, real_points, settings.prior_m)
+    n_left = int((~is_ground).sum())
     if n_left < MIN_OBJECT_POINTS:
         raise StageError(
             f"expected at least {MIN_OBJECT_POINTS} object points after ground removal, got {n_left}; "
@@ -184,15 +165,16 @@ def _cut(
 ) -> tuple[BoolArray, float | None, float | None, int | None]:
     """Ground flags, threshold, its loss, and number of times it was lowered; see `GroundResult`."""
     if settings.method == "none":
-        return np.zeros(len(points), dtype=np.bool_), None, None, None
+        return np.zeros(len(points), dtype=bool), None, None, None
     if settings.method == "patchwork":
         return _patchwork(points, peak_m), None, None, None
-    if shared is None or shared.threshold_m is None:
-        threshold_m, loss, iterations = _lower_threshold(points, height, peak_m, settings)
-        return height < threshold_m, threshold_m, loss, iterations
-    is_ground = height < shared.threshold_m
+    threshold_m = shared.threshold_m if shared else None
+    iterations = shared.iterations if shared else None
+    if threshold_m is None:
+        threshold_m, iterations = _lower_threshold(points, height, peak_m, settings)
+    is_ground = height < threshold_m
     loss = _variance_loss(points, height, is_ground, peak_m, settings)
-    return is_ground, shared.threshold_m, loss, shared.iterations
+    return is_ground, threshold_m, loss, iterations
 
 
 def _vertical_axis(points: FloatArray, notes: list[str]) -> tuple[FloatArray, float]:
@@ -240,7 +222,9 @@ def _fullest_window_median(height: FloatArray) -> float:
     return float(np.median(in_order[start : end[start]]))
 
 
-def _follow_road(cut: GroundResult, real: FloatArray, sim: FloatArray) -> GroundResult | None:
+def _follow_road(
+    cut: GroundResult, real: FloatArray, sim: FloatArray, notes: list[str]
+) -> GroundResult | None:
     """Move the real side's cut by the height of the simulated road above the real one; None without a common road.
 
     The plane x, y is split into cells of 0.5 m. In each cell with points of both sides within 30 m, the difference of
@@ -256,6 +240,10 @@ def _follow_road(cut: GroundResult, real: FloatArray, sim: FloatArray) -> Ground
     of_real, of_sim = np.split(cells, [len(near_real)])
     common = np.intersect1d(of_real, of_sim)
     if len(common) < MIN_COMMON_CELLS:
+        notes.append(
+            f"fewer than {MIN_COMMON_CELLS} cells within {NEAR_M:.0f} m have points of both sides; "
+            "the road's peak is that of this side only"
+        )
         return None
     height_real = ndimage.median(near_real @ cut.axis, of_real, common)
     height_sim = ndimage.median(near_sim @ cut.axis, of_sim, common)
@@ -277,12 +265,12 @@ def _on_real_road(
     object point is within 1 m, but real ground is, and the point is at most `most_m` higher than the nearest of it
     (heights above the roads' peaks; for equal distances the first by x, y, z).
     """
-    on_road = np.zeros(len(points), dtype=np.bool_)
-    objects = real_points[~cut.is_ground]
+    on_road = np.zeros(len(points), dtype=bool)
     ground = real_points[cut.is_ground]
     if not len(ground):
         return on_road
-    distance_m, _ = search_tree(objects).query(points, distance_upper_bound=2 * NO_OBJECT_M)
+    objects = search_tree(real_points[~cut.is_ground])
+    distance_m, _ = objects.query(points, distance_upper_bound=2 * NO_OBJECT_M)
     alone = np.flatnonzero(distance_m > NO_OBJECT_M)
     nearest, ground_m = nearest_points(ground, points[alone])
     above_m = height_m[alone] - cut.height_m[cut.is_ground][nearest]
@@ -295,15 +283,15 @@ def _lower_threshold(
     height: FloatArray,
     peak_m: float,
     settings: GroundSettings,
-) -> tuple[float, float, int]:
-    """Threshold, its loss, and the number of times it was lowered."""
+) -> tuple[float, int]:
+    """Threshold, and the number of times it was lowered."""
     iterations = 0
     while True:
         above_peak_m = settings.prior_m - iterations * STEP_M
         threshold_m = peak_m + (above_peak_m if above_peak_m > _ROUNDING_M else 0.0)
         loss = _variance_loss(points, height, height < threshold_m, peak_m, settings)
         if loss <= settings.max_variance_loss or threshold_m <= peak_m:
-            return threshold_m, loss, iterations
+            return threshold_m, iterations
         iterations += 1
 
 
@@ -345,8 +333,8 @@ def _patchwork(points: FloatArray, peak_m: float) -> BoolArray:
     with _quiet_stdout():  # it prints a message in spite of `verbose`
         estimator = pypatchworkpp.patchworkpp(parameters)
     estimator.estimateGround(np.column_stack([points, np.zeros(len(points))]).astype(np.float32))
-    is_ground = np.zeros(len(points), dtype=np.bool_)
-    is_ground[np.asarray(estimator.getGroundIndices(), dtype=np.intp)] = True
+    is_ground = np.zeros(len(points), dtype=bool)
+    is_ground[np.asarray(estimator.getGroundIndices(), dtype=int)] = True
     return is_ground
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..schemas.columns import SIDES
 from ..schemas.results import Number
-from .arrays import BoolArray, FloatArray, IndexArray
+from .arrays import FloatArray, IndexArray
 from .rays import INCIDENCE_EDGES_DEG, RANGE_EDGES_M, SAME, Rays
 
 #: Least number of returns from which a score is computed; of a bin of range and incidence.
@@ -52,8 +52,8 @@ def score_intensity(
         of_ray = np.where(rows >= 0, values[rows], np.nan)
         is_known = ~np.isnan(of_ray)
         groups = {
-            "range": _equal_counts(range_m, is_known),
-            "incidence": _equal_counts(rays.incidence_deg, is_known),
+            "range": _equal_counts(np.where(is_known, range_m, np.nan)),
+            "incidence": _equal_counts(np.where(is_known, rays.incidence_deg, np.nan)),
             "class": np.where(is_known, labels, -1),
         }
         for cause, group in groups.items():
@@ -113,8 +113,7 @@ def intensity_law(intensity: FloatArray, range_m: FloatArray) -> str:
         return ""
     if np.ptp(intensity) == 0:
         return f"constant ({intensity[0]:g})"
-    groups = _equal_counts(range_m, np.ones(len(range_m), dtype=np.bool_))
-    share = explained_share(intensity, groups)
+    share = explained_share(intensity, _equal_counts(range_m))
     return "a function of range alone" if share is not None and share >= OF_RANGE else ""
 
 
@@ -151,14 +150,15 @@ def mean_ranks(values: FloatArray) -> FloatArray:
     >>> mean_ranks(np.array([3.0, 5.0, 3.0, 9.0])).tolist()
     [0.25, 0.625, 0.25, 0.875]
     """
-    _, ids, counts = np.unique(values, return_inverse=True, return_counts=True)
-    return ((np.cumsum(counts) - counts / 2) / len(values))[ids]
+    from scipy.stats import rankdata  # takes long to load
+
+    return (rankdata(values) - 0.5) / len(values)
 
 
-def _equal_counts(values: FloatArray, is_chosen: BoolArray) -> IndexArray:
-    """(n,) number of the group, of twenty with about equal counts; -1 if not chosen or NaN."""
-    groups = np.full(len(values), -1, dtype=np.intp)
-    is_known = is_chosen & ~np.isnan(values)
+def _equal_counts(values: FloatArray) -> IndexArray:
+    """(n,) number of the group, of twenty with about equal counts; -1 for NaN."""
+    groups = np.full(len(values), -1, dtype=int)
+    is_known = ~np.isnan(values)
     known = values[is_known]
     if len(known):
         limits = np.quantile(known, np.arange(1, _GROUPS) / _GROUPS)

@@ -54,11 +54,11 @@ def match_communities(real: FloatArray, sim: FloatArray, settings: MatchingSetti
     ([0], [1], [1])
     """
     match = _greedy if settings.method == "greedy" else _optimal
-    real_ids, sim_ids, distance_m = match(real, sim, settings.delta_m)
+    real_ids, sim_ids = match(real, sim, settings.delta_m).T
     return Matching(
         real_ids=real_ids.astype(np.int32),
         sim_ids=sim_ids.astype(np.int32),
-        distance_m=distance_m,
+        distance_m=np.linalg.norm(real[real_ids] - sim[sim_ids], axis=1),
         not_found=np.setdiff1d(np.arange(len(real), dtype=np.int32), real_ids),
         extra=np.setdiff1d(np.arange(len(sim), dtype=np.int32), sim_ids),
     )
@@ -103,38 +103,25 @@ def match_reference(
     )
 
 
-def _greedy(
-    real: FloatArray,
-    sim: FloatArray,
-    delta_m: float,
-) -> tuple[IndexArray, IndexArray, FloatArray]:
-    """Real and simulated ids of Algorithm 1 and their distances, by real id; one row of distances at a time."""
-    is_taken = np.zeros(len(sim), dtype=np.bool_)
+def _greedy(real: FloatArray, sim: FloatArray, delta_m: float) -> IndexArray:
+    """Real and simulated ids of Algorithm 1, (m, 2), by real id; one row of distances at a time."""
+    is_taken = np.zeros(len(sim), dtype=bool)
     pairs = []
-    distance_m = []
     for real_id in range(len(real)):
         distance = scipy.spatial.distance.cdist(real[real_id : real_id + 1], sim)[0]
         distance[is_taken] = np.inf
         sim_id = int(np.argmin(distance))
         if distance[sim_id] < delta_m:
             pairs.append((real_id, sim_id))
-            distance_m.append(distance[sim_id])
             is_taken[sim_id] = True
-    matched = np.array(pairs, dtype=np.intp).reshape(-1, 2)
-    return matched[:, 0], matched[:, 1], np.array(distance_m, dtype=np.float64)
+    return np.array(pairs, dtype=int).reshape(-1, 2)
 
 
-def _optimal(
-    real: FloatArray,
-    sim: FloatArray,
-    delta_m: float,
-) -> tuple[IndexArray, IndexArray, FloatArray]:
-    """Ids of the largest number of pairs at the smallest total distance, and their distances, by real id."""
+def _optimal(real: FloatArray, sim: FloatArray, delta_m: float) -> IndexArray:
+    """Ids of the largest number of pairs at the smallest total distance, (m, 2), by real id."""
     distance = scipy.spatial.distance.cdist(real, sim)
     # A forbidden pair costs more than all allowed ones together, so the solution has as few of them as possible.
     forbidden = delta_m * (min(distance.shape) + 1)
     cost = np.where(distance < delta_m, distance, forbidden)
-    real_ids, sim_ids = scipy.optimize.linear_sum_assignment(cost)
-    distance_m = distance[real_ids, sim_ids]
-    allowed = distance_m < delta_m
-    return real_ids[allowed], sim_ids[allowed], distance_m[allowed]
+    pairs = np.column_stack(scipy.optimize.linear_sum_assignment(cost))
+    return pairs[distance[*pairs.T] < delta_m]

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
-from .arrays import FloatArray, IntArray
+from .arrays import FloatArray, IntArray, rows_by_id
+
+Name = TypeVar("Name", int, str)
 
 
 @dataclass(frozen=True)
@@ -50,28 +53,27 @@ def describe_objects(points: FloatArray, labels: IntArray, n_ids: int = 0) -> Ob
     >>> objects.n_points.tolist(), objects.range_m.tolist(), objects.shape[0].tolist()
     ([2, 1], [4.0, 9.0], [1.0, 0.0, 0.0])
     """
-    points = points[labels >= 0]
-    labels = labels[labels >= 0]
-    order = np.argsort(labels, kind="stable")
-    n_points = np.bincount(labels, minlength=n_ids).astype(np.int32)
-    members = np.split(points[order], np.cumsum(n_points)[:-1])
-    described = np.full((3, len(members), 3), np.nan)
-    for i, member in enumerate(members):
-        if len(member):
-            described[:, i] = (member.mean(axis=0), np.ptp(member, axis=0), _shape(member))
+    rows_of = rows_by_id(labels, n_ids)
+    n_points = np.array([len(rows) for rows in rows_of], dtype=np.int32)
+    described = np.full((3, len(rows_of), 3), np.nan)
+    for i in np.flatnonzero(n_points):
+        member = points[rows_of[i]]
+        described[:, i] = (member.mean(axis=0), np.ptp(member, axis=0), _shape(member))
     return Objects(n_points, *described)
 
 
-def majority_labels(labels: IntArray, names: list[str | None], n_ids: int = 0) -> list[str | None]:
-    """Most frequent name in each community, for equal counts the first in the alphabet; None without names.
+def majority_labels(
+    labels: IntArray, names: list[Name | None], n_ids: int = 0
+) -> list[Name | None]:
+    """Most frequent name in each community, for equal counts the first in order; None without names.
 
     Parameters
     ----------
     labels : (n,) int32, community of each point, ids from 0; -1 for none
-    names : (n,) class of each point, or None
+    names : (n,) class (or another name) of each point, or None
     n_ids : minimum number of ids
     """
-    counts: list[Counter[str]] = [Counter() for _ in range(max(n_ids, int(labels.max()) + 1))]
+    counts: list[Counter[Name]] = [Counter() for _ in range(max(n_ids, int(labels.max()) + 1))]
     for community, name in zip(labels.tolist(), names, strict=True):
         if name is not None and community >= 0:
             counts[community][name] += 1

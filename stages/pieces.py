@@ -12,7 +12,7 @@ import scipy
 
 from ..schemas.results import Number
 from ..schemas.settings import PieceSettings
-from .arrays import BoolArray, FloatArray, IndexArray, IntArray
+from .arrays import BoolArray, FloatArray, IndexArray, IntArray, azimuths_deg
 from .communities import canonical_ids
 from .linalg.nearest import search_tree
 from .linalg.subgraph import connected_points
@@ -63,7 +63,7 @@ class Pieces:
     @property
     def bearing_deg(self) -> FloatArray:
         """Direction of the centroid, (c,) float64: 0 ahead, positive to the left, -180 to 180."""
-        return np.degrees(np.arctan2(self.objects.centroid[:, 1], self.objects.centroid[:, 0]))
+        return azimuths_deg(self.objects.centroid)
 
 
 def find_pieces(real: CutScan, sim: CutScan, settings: PieceSettings) -> tuple[Pieces, Pieces]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..schemas.columns import FARTHEST_M
 from ..schemas.settings import InputSettings
-from .arrays import FloatArray
+from .arrays import FloatArray, azimuths_deg
 from .clean import as_ros
 
 FAR_COORDINATE_M = 1000.0
@@ -134,12 +134,11 @@ def _are_angles(points: FloatArray) -> bool:
 
 def _most_repeated(points: FloatArray) -> tuple[FloatArray, int]:
     """The point that most rows have, and how many."""
-    order = np.lexsort(points.T)
-    is_new = np.concatenate([[True], (np.diff(points[order], axis=0) != 0).any(axis=1)])
-    first = np.flatnonzero(is_new)
+    in_order = points[np.lexsort(points.T)]
+    first = np.flatnonzero(np.append(True, (np.diff(in_order, axis=0) != 0).any(axis=1)))
     counts = np.diff(first, append=len(points))
-    most = int(counts.argmax())
-    return points[order[first[most]]], int(counts[most])
+    most = counts.argmax()
+    return in_order[first[most]], int(counts[most])
 
 
 def _unit(low: FloatArray, high: FloatArray) -> str:
@@ -160,5 +159,5 @@ def widest_azimuth_gap_deg(points: FloatArray) -> float:
     """
     if not len(points):
         return 360.0
-    azimuth = np.sort(np.degrees(np.arctan2(points[:, 1], points[:, 0])))
+    azimuth = np.sort(azimuths_deg(points))
     return float(np.diff(azimuth, append=azimuth[0] + 360.0).max())

@@ -55,8 +55,7 @@ def inside(points: FloatArray, boxes: Boxes, number: int) -> BoolArray:
     along = offset[:, 0] * c + offset[:, 1] * s
     across = offset[:, 1] * c - offset[:, 0] * s
     local = np.abs(np.column_stack([along, across, offset[:, 2]]))
-    is_inside: BoolArray = (local <= boxes.size[number] / 2).all(axis=1)
-    return is_inside
+    return (local <= boxes.size[number] / 2).all(axis=1)
 
 
 def lost_auc(scores: FloatArray, is_lost: BoolArray) -> float | None:

@@ -8,10 +8,10 @@ import numpy as np
 import scipy
 
 from ..schemas.results import Number
-from .arrays import BoolArray, FloatArray, IndexArray, IntArray
+from .arrays import BoolArray, FloatArray, IndexArray, azimuths_deg
 from .linalg.nearest import search_tree
 from .sensor_description import SensorDescription
-from .statistics.findings import BAND_EDGES_M
+from .statistics.bands import BAND_EDGES_M
 
 #: What became of a ray. Both sides returned: ranges agree, or the simulated return is nearer or farther. Only the real
 #: side returned: with or without simulated surface near its return. Only the simulated side returned; neither did.
@@ -29,6 +29,7 @@ RANGE_EDGES_M = BAND_EDGES_M
 INCIDENCE_EDGES_DEG = (0.0, 30.0, 60.0, 75.0, 85.0)
 #: Edges of the directions in which rays are scored.
 AZIMUTH_EDGES_DEG = tuple(range(-180, 181, 45))
+_ELEVATIONS_DEG = np.linspace(-90.0, 90.0, 18_001)
 _CANDIDATES = 6
 _NEIGHBOURS = 8
 _PHASE_CELLS = 32  # columns over which the columns of the two sides keep their phase
@@ -48,22 +49,22 @@ _MOST_MOVED = 0.5  # of a range, from the return's own to that of the plane arou
 class Rays:
     """One row per ray of the grid, sorted by beam and column.
 
-    beam, column : (n,) int32, beam of the real sensor, and number of the firing from azimuth -180 degrees on
-    real_row, sim_row : (n,) int32, row of the return in the input; -1 for none
+    beam, column : (n,) intp, beam of the real sensor, and number of the firing from azimuth -180 degrees on
+    real_row, sim_row : (n,) intp, row of the return in the input; -1 for none
+    outcome : (n,) intp, index into `OUTCOMES`
     real_range_m : (n,) float64, range of the real return, NaN for none
     sim_range_m : (n,) float64, range of the simulated return, along the real ray if there is one; NaN for none
-    outcome : (n,) int32, index into `OUTCOMES`
     incidence_deg : (n,) float64, between the ray and the normal of the surface that it met, the simulated one if both
         sides returned; NaN if undetermined
     """
 
-    beam: IntArray
-    column: IntArray
-    real_row: IntArray
-    sim_row: IntArray
+    beam: IndexArray
+    column: IndexArray
+    real_row: IndexArray
+    sim_row: IndexArray
+    outcome: IndexArray
     real_range_m: FloatArray
     sim_range_m: FloatArray
-    outcome: IntArray
     incidence_deg: FloatArray
 
     @property
@@ -72,19 +73,18 @@ class Rays:
 
         A turn has as many columns as the beam that has fewest, since every beam has a ray in each of them.
         """
-        last = np.zeros(self.beam.max(initial=0) + 1, dtype=np.intp)
-        np.maximum.at(last, self.beam, self.column)
-        n_columns = last[np.unique(self.beam)].min(initial=self.column.max(initial=0)) + 1
+        is_last = np.append(np.diff(self.beam) > 0, True)
+        n_columns = self.column[is_last].min() + 1
         return (np.minimum(self.column, n_columns - 1) + 0.5) * 360.0 / n_columns - 180.0
 
 
-def compare_rays(
+def find_rays(
     real: FloatArray,
     sim: FloatArray,
-    real_sensor: SensorDescription,
-    sim_sensor: SensorDescription,
-) -> Rays:
-    """Pair the returns of both sides by direction and compare their ranges.
+    sensors: tuple[SensorDescription, SensorDescription],
+    T_real_sim: FloatArray | None = None,
+) -> Rays | str:
+    """Pair the returns of both sides by direction and compare their ranges, or return the reason why there are no rays.
 
     A cell is one azimuth step of the coarser side wide and as high as the distance of neighbouring beams, again of the
     coarser side, at that elevation. Returns whose directions differ by at most 0.75 cells (root of the sum of squares)
@@ -97,51 +97,72 @@ def compare_rays(
 
     Parameters
     ----------
-    real, sim : (n, 3) and (m, 3) float64, metres, clean points of both sides in the frame of one sensor position
-    real_sensor, sim_sensor : with beams and azimuth steps; ranges may differ by their noise
+    real, sim : (n, 3) and (m, 3) float64, metres, clean points of both sides in the real sensor's frame
+    sensors : of the real and the simulated side; ranges may differ by their noise
+    T_real_sim : (3, 4) float64, motion of the simulated into the real sensor's frame, if they differ
     """
-    step = _coarser_step_deg(real_sensor, sim_sensor)
-    limits, rows = _rows_of(real_sensor, sim_sensor)
-    real_side = _Side(real, real_sensor, step, limits, rows)
-    sim_side = _Side(sim, sim_sensor, step, limits, rows)
-    lowest, highest = np.interp(real_sensor.beams_deg[[0, -1]], limits, rows)
-    sim_rows = sim_side.place[:, 1]
-    is_between = (sim_rows >= lowest - REACH) & (sim_rows <= highest + REACH)
-    real_row, sim_row = _sort_returns(real_side, sim_side, is_between)
+    steps_deg = []
+    for side, sensor in zip(("real", "simulated"), sensors, strict=True):
+        if not sensor.azimuth_step_deg:
+            return f"{side} scan: {sensor.why_unknown('azimuth_step_deg')}"
+        steps_deg.append(sensor.azimuth_step_deg)
+    apart_m = 0.0 if T_real_sim is None else float(np.linalg.norm(T_real_sim[:, 3]))
+    median_m = float(np.median(np.linalg.norm(real, axis=1)))
+    cell_m = np.radians(max(steps_deg)) * median_m
+    if apart_m > cell_m:
+        return (
+            f"the simulated sensor is {apart_m:.2f} m from the real one: at the median range of {median_m:.1f} m its "
+            f"rays are {apart_m / cell_m:.1f} cells off"
+        )
+    rows = _rows_of(sensors)
+    real_side = _Side(real, sensors[0], max(steps_deg), rows)
+    sim_side = _Side(sim, sensors[1], max(steps_deg), rows)
+    beam, column, real_row, sim_row = _in_grid(real_side, sim_side)
+    return _compare_ranges(real_side, sim_side, beam, column, real_row, sim_row)
 
+
+def _in_grid(real: _Side, sim: _Side) -> IndexArray:
+    """(4, n) beam, column, and rows of the real and of the simulated return of each ray, sorted; -1 for no return.
+
+    No two rays of a beam have the same column.
+    """
+    real_row, sim_row = _sort_returns(real, sim)
     is_real = real_row >= 0
-    beam, column, ray = _in_grid(
-        np.where(is_real, real_side.beam[real_row], real_sensor.beam_of(sim)[sim_row]),
-        np.where(is_real, real_side.place[real_row, 0], sim_side.place[sim_row, 0]),
-        n_beams=len(real_sensor.elevation_deg),
-        n_columns=round(real_side.width),
-    )
-    real_row = np.append(real_row, -1)[ray]
-    sim_row = np.append(sim_row, -1)[ray]
-    noise_m = float(np.hypot(real_sensor.range_noise_m or 0.0, sim_sensor.range_noise_m or 0.0))
-    return _compare_ranges(real_side, sim_side, beam, column, real_row, sim_row, noise_m)
+    azimuth = np.where(is_real, real.place[real_row, 0], sim.place[sim_row, 0])
+    beam = np.where(is_real, real.beam[real_row], real.sensor.beam_of(sim.points)[sim_row])
+    order = np.lexsort((azimuth, beam))
+    beam = beam[order]
+    n_columns = round(real.width)
+    n_beams = len(real.sensor.elevation_deg)
+    count = np.bincount(beam, minlength=n_beams)
+    start = np.repeat(np.cumsum(count) - count, count)
+    rank = np.arange(len(order)) - start
+    base = start * 1.0 + beam * n_columns
+    column = azimuth[order].astype(int)
+    column = (np.maximum.accumulate(column - rank + base) - base + rank).astype(int)
+    most = np.maximum(n_columns, count)[beam] - count[beam] + rank
+    column = np.minimum(column, most)
+    is_inside = column < n_columns
+    is_silent = np.ones((n_beams, n_columns), dtype=bool)
+    is_silent[beam[is_inside], column[is_inside]] = False
+    silent = np.argwhere(is_silent).T
+    returned = np.stack([beam, column, real_row[order], sim_row[order]])
+    rays = np.hstack([returned, np.vstack([silent, np.full_like(silent, -1)])])
+    return rays[:, np.lexsort(rays[1::-1])]
 
 
-def _coarser_step_deg(*sensors: SensorDescription) -> float:
-    return max(sensor.azimuth_step_deg or 0.0 for sensor in sensors)
-
-
-def _sort_returns(real: _Side, sim: _Side, is_between: BoolArray) -> tuple[IntArray, IntArray]:
-    """Rows of the real and of the simulated return of each ray with a return, -1 for none.
-
-    Parameters
-    ----------
-    is_between : (m,) bool, simulated returns between the lowest and the highest real beam
-    """
+def _sort_returns(real: _Side, sim: _Side) -> tuple[IndexArray, IndexArray]:
+    """Rows of the real and of the simulated return of each ray with a return, -1 for none."""
     partner = _partners(real, sim)
     both = np.flatnonzero(partner >= 0)
-    is_single = is_between.copy()
+    sim_rows = sim.place[:, 1]
+    is_single = (sim_rows >= real.lowest - REACH) & (sim_rows <= real.highest + REACH)
     is_single[partner[both]] = False
     only_real = _without_finer(np.flatnonzero(partner < 0), real, sim)
     only_sim = _without_finer(np.flatnonzero(is_single), sim, real)
     real_row = np.concatenate([both, only_real, np.full(len(only_sim), -1)])
     sim_row = np.concatenate([partner[both], np.full(len(only_real), -1), only_sim])
-    return real_row.astype(np.int32), sim_row.astype(np.int32)
+    return real_row, sim_row
 
 
 def _compare_ranges(
@@ -149,70 +170,37 @@ def _compare_ranges(
     sim: _Side,
     beam: IndexArray,
     column: IndexArray,
-    real_row: IntArray,
-    sim_row: IntArray,
-    noise_m: float,
+    real_row: IndexArray,
+    sim_row: IndexArray,
 ) -> Rays:
     """The rays with their ranges, outcomes and incidences, from their returns on both sides."""
+    is_real = real_row >= 0
     is_sim = sim_row >= 0
-    only_real = (real_row >= 0) & ~is_sim
-    is_both = (real_row >= 0) & is_sim
-    normal = np.full((len(real_row), 3), np.nan)
+    only_real = is_real & ~is_sim
+    normal = np.full((len(beam), 3), np.nan)
     normal[only_real] = real.normals(real_row[only_real])
     normal[is_sim] = sim.normals(sim_row[is_sim])
     met = np.where(is_sim[:, None], sim.points[sim_row], real.points[real_row])
     met_range_m = np.linalg.norm(met, axis=1)
     cosine = np.abs(np.einsum("ij,ij->i", normal, met)) / met_range_m
 
-    real_range_m = np.where(real_row >= 0, real.range_m[real_row], np.nan)
-    sim_range_m = np.where(is_sim, met_range_m, np.nan)
-    directions = real.points[real_row[is_both]] / real_range_m[is_both, None]
-    sim_range_m[is_both] = _range_along(directions, met[is_both], normal[is_both])
-    difference_m = sim_range_m[is_both] - real_range_m[is_both]
+    directions = real.points[real_row] / real.range_m[real_row, None]
+    along_m = _range_along(directions, met, normal)
+    real_range_m = np.where(is_real, real.range_m[real_row], np.nan)
+    sim_range_m = np.select([is_real & is_sim, is_sim], [along_m, met_range_m], np.nan)
+    difference_m = sim_range_m - real_range_m
+    noise_m = np.hypot(real.sensor.range_noise_m or 0.0, sim.sensor.range_noise_m or 0.0)
     is_same = np.abs(difference_m) <= max(SAME_M, SAME_SIGMAS * noise_m)
+    surface_m = np.full(len(beam), np.inf)
     tree = search_tree(sim.points)
-    surface_m, _ = tree.query(met[only_real], distance_upper_bound=SURFACE_M)
-    outcome = np.where(is_sim, SIM_ONLY, NONE).astype(np.int32)
-    outcome[is_both] = np.select([is_same, difference_m < 0], [SAME, IN_FRONT], BEHIND)
-    outcome[only_real] = np.where(surface_m > SURFACE_M, NO_SURFACE, DROPPED)
-    return Rays(
-        beam=beam.astype(np.int32),
-        column=column.astype(np.int32),
-        real_row=real_row,
-        sim_row=sim_row,
-        real_range_m=real_range_m,
-        sim_range_m=sim_range_m,
-        outcome=outcome,
-        incidence_deg=np.degrees(np.arccos(np.minimum(cosine, 1.0))),
+    surface_m[only_real], _ = tree.query(met[only_real], distance_upper_bound=SURFACE_M)
+    outcome = np.select(
+        [is_same, difference_m < 0, difference_m > 0, is_sim, surface_m <= SURFACE_M, is_real],
+        [SAME, IN_FRONT, BEHIND, SIM_ONLY, DROPPED, NO_SURFACE],
+        NONE,
     )
-
-
-def find_rays(
-    real: FloatArray,
-    sim: FloatArray,
-    sensors: tuple[SensorDescription, SensorDescription],
-    T_real_sim: FloatArray | None = None,
-) -> Rays | str:
-    """Compare the rays of two scans whose sensors are known, or return the reason for which there are none.
-
-    Parameters
-    ----------
-    real, sim : (n, 3) and (m, 3) float64, metres, clean points of both sides in the real sensor's frame
-    sensors : of the real and the simulated side
-    T_real_sim : (3, 4) float64, motion of the simulated into the real sensor's frame, if they differ
-    """
-    for side, sensor in zip(("real", "simulated"), sensors, strict=True):
-        if not sensor.azimuth_step_deg:
-            return f"{side} scan: {sensor.why_unknown('azimuth_step_deg')}"
-    apart_m = 0.0 if T_real_sim is None else float(np.linalg.norm(T_real_sim[:, 3]))
-    median_m = float(np.median(np.linalg.norm(real, axis=1)))
-    cell_m = np.radians(_coarser_step_deg(*sensors)) * median_m
-    if apart_m > cell_m:
-        return (
-            f"the simulated sensor is {apart_m:.2f} m from the real one: at the median range of {median_m:.1f} m its "
-            f"rays are {apart_m / cell_m:.1f} cells off"
-        )
-    return compare_rays(real, sim, *sensors)
+    incidence_deg = np.degrees(np.arccos(np.minimum(cosine, 1.0)))
+    return Rays(beam, column, real_row, sim_row, outcome, real_range_m, sim_range_m, incidence_deg)
 
 
 def score_rays(rays: Rays, is_in: BoolArray | slice = slice(None)) -> dict[str, Number]:
@@ -252,7 +240,7 @@ def _range_scores(real: FloatArray, sim: FloatArray) -> dict[str, float]:
         return {}
     difference = np.sort(sim - real)
     reach = 0.98 * np.sqrt(n)
-    low, high = np.clip([n / 2 - reach, n / 2 + reach], 0, n - 1).astype(np.intp)
+    low, high = np.clip([n / 2 - reach, n / 2 + reach], 0, n - 1).astype(int)
     error = np.abs(difference)
     return {
         "rays_bias_m": float(np.median(difference)),
@@ -266,15 +254,14 @@ def _range_scores(real: FloatArray, sim: FloatArray) -> dict[str, float]:
     }
 
 
-def _rows_of(
-    real_sensor: SensorDescription, sim_sensor: SensorDescription
-) -> tuple[FloatArray, FloatArray]:
-    """Elevations, degrees, and a coordinate that grows by 1 from beam to beam of the side that is coarser there."""
-    grids = [sensor.beams_deg for sensor in (real_sensor, sim_sensor)]
-    elevation = np.linspace(-90.0, 90.0, 18_001)
-    apart = [np.interp(elevation, (grid[1:] + grid[:-1]) / 2, np.diff(grid)) for grid in grids]
+def _rows_of(sensors: tuple[SensorDescription, SensorDescription]) -> FloatArray:
+    """A coordinate by `_ELEVATIONS_DEG` that grows by 1 from beam to beam of the side that is coarser there."""
+    apart = []
+    for sensor in sensors:
+        grid = sensor.beams_deg
+        apart.append(np.interp(_ELEVATIONS_DEG, (grid[1:] + grid[:-1]) / 2, np.diff(grid)))
     rows = np.cumsum(0.01 / np.maximum(*apart))
-    return elevation, rows - rows[0]
+    return rows - rows[0]
 
 
 class _Side:
@@ -284,6 +271,7 @@ class _Side:
     beam : (n,) intp, of the side's own sensor
     width : cells of azimuth around
     step : of the side's own columns, in cells
+    lowest, highest : rows of the first and the last beam
     """
 
     def __init__(
@@ -291,36 +279,33 @@ class _Side:
         points: FloatArray,
         sensor: SensorDescription,
         step_deg: float,
-        elevation_deg: FloatArray,
         rows: FloatArray,
     ) -> None:
         self.points = points
+        self.sensor = sensor
         self.range_m: FloatArray = np.linalg.norm(points, axis=1)
         self.beam = sensor.beam_of(points)
         self.width = 360.0 / step_deg
         self.step = (sensor.azimuth_step_deg or 0.0) / step_deg
-        azimuth_deg = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
-        azimuth = (azimuth_deg + 180.0) / step_deg % self.width
-        elevation = np.degrees(np.arcsin(points[:, 2] / self.range_m))
-        self.place = np.column_stack([azimuth, np.interp(elevation, elevation_deg, rows)])
-        self.tree = scipy.spatial.cKDTree(
-            self.place,
-            boxsize=[self.width, 0.0],
-            balanced_tree=False,
-        )
+        azimuth = (azimuths_deg(points) + 180.0) / step_deg % self.width
+        elevation_deg = np.degrees(np.arcsin(points[:, 2] / self.range_m))
+        self.place = np.column_stack([azimuth, np.interp(elevation_deg, _ELEVATIONS_DEG, rows)])
+        self.lowest, self.highest = np.interp(sensor.beams_deg[[0, -1]], _ELEVATIONS_DEG, rows)
+        around = [self.width, 0.0]
+        self.tree = scipy.spatial.cKDTree(self.place, boxsize=around, balanced_tree=False)
 
     def across(self, cells: FloatArray) -> FloatArray:
         """A difference of azimuths, in cells, the short way round."""
         return (cells + self.width / 2) % self.width - self.width / 2
 
-    def normals(self, at: IndexArray | IntArray) -> FloatArray:
+    @np.errstate(invalid="ignore", divide="ignore")
+    def normals(self, at: IndexArray) -> FloatArray:
         """(k, 3) unit vectors of some returns, NaN if neighbours are missing.
 
         Of the plane through a return, its nearest neighbour along its row, and that on the rows next to it.
         """
         place = self.place[at]
-        k = min(_NEIGHBOURS, len(self.place))
-        distance, near = self.tree.query(place, k=k, distance_upper_bound=_NEAR_ROW[1])
+        distance, near = self.tree.query(place, _NEIGHBOURS, distance_upper_bound=_NEAR_ROW[1])
         is_there = np.isfinite(distance) & (near != at[:, None])
         near = np.where(is_there, near, 0)
         across = np.abs(self.across(self.place[near, 0] - place[:, :1]))
@@ -330,23 +315,18 @@ class _Side:
         along = self._edges(at, near, np.where(is_along, across, np.inf))
         upward = self._edges(at, near, np.where(is_next, np.hypot(across, rows), np.inf))
         normal = np.cross(along, upward)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            unit: FloatArray = normal / np.linalg.norm(normal, axis=1, keepdims=True)
-        return unit
+        return normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
-    def _edges(
-        self, at: IndexArray | IntArray, near: IndexArray, distance: FloatArray
-    ) -> FloatArray:
+    def _edges(self, at: IndexArray, near: IndexArray, distance: FloatArray) -> FloatArray:
         """(k, 3) metres from some returns to that of their neighbours with the least distance; NaN without one."""
-        best = distance.argmin(axis=1)[:, None]
-        nearest = np.take_along_axis(near, best, 1)[:, 0]
-        is_there = np.isfinite(np.take_along_axis(distance, best, 1))
-        return np.where(is_there, self.points[nearest] - self.points[at], np.nan)
+        nearest = np.arange(len(at)), distance.argmin(axis=1)
+        is_there = np.isfinite(distance[nearest])[:, None]
+        return np.where(is_there, self.points[near[nearest]] - self.points[at], np.nan)
 
 
-def _partners(a: _Side, b: _Side) -> IntArray:
+def _partners(a: _Side, b: _Side) -> IndexArray:
     """(n,) for each return of `a` the row of its partner in `b`, -1 for none."""
-    distance, near = b.tree.query(a.place, k=_CANDIDATES, distance_upper_bound=REACH + 1.0)
+    distance, near = b.tree.query(a.place, _CANDIDATES, distance_upper_bound=REACH + 1.0)
     row, rank = np.nonzero(np.isfinite(distance))
     near = near[row, rank]
     azimuth = a.across(b.place[near, 0] - a.place[row, 0])
@@ -356,8 +336,8 @@ def _partners(a: _Side, b: _Side) -> IntArray:
     order = order[apart[order] <= REACH]
     row = row[order]
     near = near[order]
-    partner = np.full(len(a.points), -1, dtype=np.int32)
-    is_taken = np.zeros(len(b.points), dtype=np.bool_)
+    partner = np.full(len(a.points), -1)
+    is_taken = np.zeros(len(b.points), dtype=bool)
     while len(row):  # a pair that comes first for both of its returns is the nearest pair of both
         first = np.flatnonzero(_is_first(row, len(partner)) & _is_first(near, len(is_taken)))
         partner[row[first]] = near[first]
@@ -370,7 +350,7 @@ def _partners(a: _Side, b: _Side) -> IntArray:
 
 def _is_first(values: IndexArray, n: int) -> BoolArray:
     """True where a value, from 0 to n - 1, occurs for the first time."""
-    first = np.empty(n, dtype=np.intp)
+    first = np.empty(n, dtype=int)
     places = np.arange(len(values))
     first[values[::-1]] = places[::-1]  # the last assignment counts
     return first[values] == places
@@ -386,7 +366,7 @@ def _phase(a: _Side, row: IndexArray, azimuth: FloatArray) -> FloatArray:
     row, azimuth : returns of `a`, and how far in azimuth the nearest return of the other side is
     """
     n_blocks = int(a.width // _PHASE_CELLS) + 1
-    block = a.beam * n_blocks + (a.place[:, 0] // _PHASE_CELLS).astype(np.intp)
+    block = a.beam * n_blocks + (a.place[:, 0] // _PHASE_CELLS).astype(int)
     of_beam = _mean_phase(a.beam, row, azimuth)[a.beam]
     of_block = _mean_phase(block, row, azimuth)[block]
     return of_beam + (of_block - of_beam + 0.5) % 1.0 - 0.5
@@ -413,8 +393,7 @@ def _without_finer(rows: IndexArray, side: _Side, other: _Side) -> IndexArray:
     around = [other.width / _SQUEEZE, 0.0]
     tree = scipy.spatial.cKDTree(other.place / near_rows, boxsize=around, balanced_tree=False)
     place = side.place[rows]
-    k = min(_CANDIDATES, len(other.place))
-    distance, near = tree.query(place / near_rows, k=k, distance_upper_bound=_LEAST_ROWS)
+    distance, near = tree.query(place / near_rows, _CANDIDATES, distance_upper_bound=_LEAST_ROWS)
     is_there = np.isfinite(distance)
     near = np.where(is_there, near, 0)
     azimuth = side.across(other.place[near, 0] - place[:, :1])
@@ -423,45 +402,16 @@ def _without_finer(rows: IndexArray, side: _Side, other: _Side) -> IndexArray:
     after = np.where(is_there & (azimuth >= 0), azimuth, np.inf).min(axis=1)
     rows = rows[before + after > _ADJACENT * other.step]
     if side.step * _FINER < 1.0:
-        cell = np.column_stack([side.beam[rows], side.place[rows, 0].astype(np.intp)])
+        cell = np.column_stack([side.beam[rows], side.place[rows, 0].astype(int)])
         rows = rows[np.sort(np.unique(cell, axis=0, return_index=True)[1])]
     return rows
 
 
+@np.errstate(invalid="ignore", divide="ignore")
 def _range_along(directions: FloatArray, points: FloatArray, normal: FloatArray) -> FloatArray:
     """(n,) metres, where rays meet the planes around points; a point's own range if its ray grazes the plane."""
     range_m = np.linalg.norm(points, axis=1)
     cosine = np.einsum("ij,ij->i", directions, normal)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        meeting = np.einsum("ij,ij->i", points, normal) / cosine
-        is_near = np.abs(meeting - range_m) < _MOST_MOVED * range_m
-        is_met = (np.abs(cosine) > _GRAZING) & is_near
-    return np.where(is_met, meeting, range_m)
-
-
-def _in_grid(
-    beam: IndexArray, azimuth: FloatArray, n_beams: int, n_columns: int
-) -> tuple[IndexArray, IndexArray, IndexArray]:
-    """Beam, column and number of each ray, sorted; -1 as number of the rays that returned on neither side.
-
-    No two rays of a beam have the same column.
-    """
-    order = np.lexsort((azimuth, beam))
-    beam = beam[order]
-    count = np.bincount(beam, minlength=n_beams)
-    start = np.repeat(np.cumsum(count) - count, count)
-    rank = np.arange(len(order)) - start
-    base = start * 1.0 + beam * n_columns
-    column = azimuth[order].astype(np.intp)
-    column = (np.maximum.accumulate(column - rank + base) - base + rank).astype(np.intp)
-    most = np.maximum(n_columns, count)[beam] - count[beam] + rank
-    column = np.minimum(column, most)
-    is_inside = column < n_columns
-    is_silent = np.ones((n_beams, n_columns), dtype=np.bool_)
-    is_silent[beam[is_inside], column[is_inside]] = False
-    silent_beam, silent_column = np.nonzero(is_silent)
-    beam = np.concatenate([beam, silent_beam])
-    column = np.concatenate([column, silent_column])
-    number = np.concatenate([order, np.full(len(silent_beam), -1)])
-    final = np.lexsort((column, beam))
-    return beam[final], column[final], number[final]
+    meeting = np.einsum("ij,ij->i", points, normal) / cosine
+    is_near = np.abs(meeting - range_m) < _MOST_MOVED * range_m
+    return np.where((np.abs(cosine) > _GRAZING) & is_near, meeting, range_m)

@@ -186,9 +186,11 @@ def _merge_small(
         large = np.flatnonzero((codes == code) & is_large)
         small = np.flatnonzero((codes == code) & ~is_large)
         if len(large):
-            ids, of_small = np.unique(components[small], return_inverse=True)
             nearest, distance_m = nearest_points(points[large], points[small])
-            closest = np.lexsort((*points[small].T[::-1], distance_m, of_small))
-            place = np.searchsorted(of_small[closest], np.arange(len(ids)))
-            merged[small] = components[large[nearest[closest[place]]]][of_small]
+            closest = np.lexsort((*points[small].T[::-1], distance_m, components[small]))
+            small = small[closest]
+            _, first, of_small = np.unique(
+                components[small], return_index=True, return_inverse=True
+            )
+            merged[small] = components[large[nearest[closest[first]]]][of_small]
     return merged

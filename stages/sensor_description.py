@@ -10,9 +10,15 @@ import scipy
 from numpy.lib.stride_tricks import sliding_window_view
 
 from ..schemas.columns import FARTHEST_M
-from .arrays import BoolArray, FloatArray, IndexArray, IntArray
+from .arrays import (
+    FloatArray,
+    IndexArray,
+    IntArray,
+    slopes_deg,
+)
 from .beam_patterns import BeamPattern, elevation_of_points, find_beams, recognise
 from .plausibility import widest_azimuth_gap_deg
+from .sweep import Sweep, sweep_of
 from .trust import (
     BEAMS,
     FRAME,
@@ -27,6 +33,7 @@ from .trust import (
     later_returns,
     misses_text,
     returns_text,
+    rounding_of,
     sweeps_text,
     thinned_text,
 )
@@ -48,6 +55,7 @@ _QUANTA_M = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.008, 0.005, 0.004, 0.003, 0
 _QUANTUM_RANGE_M = 30.0
 _LEAST_STEP_DEG = 0.02
 _NEXT_STEPS = 1.35  # farthest next firing
+_FINE_M = 0.0009  # coordinates that are rounded more show no quantum of ranges
 _RUN = 9  # returns of a beam one after the other
 _RUN_STEPS = 8  # from one return of a run to the next at most, if too few runs have no gap
 _FEWEST_RUNS = 200
@@ -119,14 +127,16 @@ class SensorDescription:
 
     def why_unknown(self, name: str) -> str:
         """Reason why a field is undetermined, or "": its own, or that of the beams or of the step which it needs."""
-        reasons = [self.untold.get(key) for key in (name, "elevation_deg", "azimuth_step_deg")]
-        return next(filter(None, reasons), "")
+        for key in (name, "elevation_deg", "azimuth_step_deg"):
+            if key in self.untold:
+                return self.untold[key]
+        return ""
 
 
 #: Gaps of lost pulses within visible surfaces, between two returns of one beam: (g, 2) intp, points before and after
 #: each gap, and (g,) intp, 1 to 5 pulses.
 SurfaceGaps = tuple[IndexArray, IndexArray]
-NO_GAPS: SurfaceGaps = (np.empty((0, 2), dtype=np.intp), np.empty(0, dtype=np.intp))
+NO_GAPS: SurfaceGaps = (np.empty((0, 2), dtype=int), np.empty(0, dtype=int))
 
 
 def describe_sensor(points: FloatArray, ring: IntArray | None = None) -> SensorDescription:
@@ -166,8 +176,16 @@ def describe_with_gaps(
         sensor.untold["elevation_deg"] = f"{len(rows)} returns, at least {_MIN_POINTS} are needed"
         return sensor, NO_GAPS
     points = points[rows]
-    sensor = replace(sensor, field_of_view_deg=_field_of_view(points))
-    sensor.doubts.update(doubts_of_rounding(points))
+    slope_deg = slopes_deg(points)
+    around_deg = 360.0 - widest_azimuth_gap_deg(points)
+    field_of_view_deg = (
+        round(float(slope_deg.min()), 2),
+        round(float(slope_deg.max()), 2),
+        round(around_deg, 1),
+    )
+    sensor = replace(sensor, field_of_view_deg=field_of_view_deg)
+    rounding_m = rounding_of(points)
+    sensor.doubts.update(doubts_of_rounding(rounding_m))
     if FRAME in sensor.doubts:
         sensor.untold["elevation_deg"] = sensor.doubts[FRAME]
         return sensor, NO_GAPS
@@ -176,37 +194,30 @@ def describe_with_gaps(
         sensor.untold["elevation_deg"] = pattern
         sensor.doubts.update(doubts_without_beams(points))
         return sensor, NO_GAPS
-    sensor, (gaps, n_lost) = _describe_beams(sensor, points, pattern)
+    sensor, (gaps, n_lost) = _describe_beams(sensor, points, pattern, rounding_m)
     return sensor, (rows[gaps], n_lost)
 
 
-def _field_of_view(points: FloatArray) -> tuple[float, float, float]:
-    slope_deg = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
-    around_deg = 360.0 - widest_azimuth_gap_deg(points)
-    return round(float(slope_deg.min()), 2), round(float(slope_deg.max()), 2), round(around_deg, 1)
-
-
 def _describe_beams(
-    sensor: SensorDescription, points: FloatArray, pattern: BeamPattern
+    sensor: SensorDescription, points: FloatArray, pattern: BeamPattern, rounding_m: float
 ) -> tuple[SensorDescription, SurfaceGaps]:
     """The description with all that follows from the beams, and the gaps of lost pulses between the points."""
-    sweep = _by_beam(points, pattern)
-    is_later = later_returns(sweep.beam, sweep.azimuth_deg, sweep.range_m)
+    sweep = sweep_of(points, pattern)
+    is_later = later_returns(sweep)
     returns = returns_text(is_later)
     if returns:
         sweep = sweep.first_returns(is_later)
     step = _azimuth_step(sweep)
-    doubts = dict(sensor.doubts)
     if several := _not_one_sweep_text(sweep, step, pattern):
-        step = doubts[ONE_SWEEP] = several
+        step = sensor.doubts[ONE_SWEEP] = several
     else:
         if returns:
-            doubts[RETURNS] = returns
-        if thinned := thinned_text(sweep.gap_deg, sweep.range_m, points):
-            step = doubts[BEAMS] = thinned
+            sensor.doubts[RETURNS] = returns
+        if thinned := thinned_text(sweep, points):
+            step = sensor.doubts[BEAMS] = thinned
     estimates: dict[str, Any] = {
         "azimuth_step_deg": step,
-        "range_quantum_m": _range_quantum(points, sweep),
+        "range_quantum_m": _range_quantum(sweep, rounding_m),
     }
     gaps = NO_GAPS
     if not isinstance(step, str):
@@ -222,7 +233,10 @@ def _describe_beams(
             "lost_share": _lost_share(sweep, n_firings),
         }
     untold = {name: value for name, value in estimates.items() if isinstance(value, str)}
-    known = {name: value for name, value in estimates.items() if name not in untold}
+    known = estimates | dict.fromkeys(untold)
+    model = recognise(pattern, known["azimuth_step_deg"], known["range_quantum_m"])
+    if not model.title:
+        untold["model"] = model.reason
     sensor = replace(
         sensor,
         elevation_deg=tuple(round(float(value), 3) for value in pattern.elevation_deg),
@@ -232,19 +246,17 @@ def _describe_beams(
         block_deg=pattern.block_deg,
         focal_m=pattern.focal_m,
         elevation_noise_deg=_spread(sweep.off_deg),
+        model=model.title,
+        model_beams=model.n_beams,
         untold=untold,
-        doubts=doubts,
         **known,
     )
-    model = recognise(pattern, sensor.azimuth_step_deg, sensor.range_quantum_m)
-    if not model.title:
-        untold["model"] = model.reason
-    return replace(sensor, model=model.title, model_beams=model.n_beams), gaps
+    return sensor, gaps
 
 
-def _not_one_sweep_text(sweep: _Sweep, step: float | str, pattern: BeamPattern) -> str | None:
+def _not_one_sweep_text(sweep: Sweep, step: float | str, pattern: BeamPattern) -> str | None:
     """The doubt that a scan holds other directions than those of one sweep; None if it does not."""
-    text = sweeps_text(sweep.gap_deg) or alternation_text(sweep.beam, sweep.range_m)
+    text = sweeps_text(sweep) or alternation_text(sweep)
     if text or isinstance(step, str):
         return text
     return image_text(sweep.azimuth_deg, step, pattern.elevation_deg)
@@ -318,61 +330,16 @@ def sensor_lines(sensor: SensorDescription) -> list[str]:
     return lines
 
 
-@dataclass(frozen=True)
-class _Sweep:
-    """Returns in beams, sorted by beam, then by azimuth.
-
-    beam : (m,) intp, row of the pattern's elevations
-    off_deg : (m,) float64, elevation above that of the beam
-    azimuth_deg, range_m : (m,) float64; range from the crossing point of the beams
-    row : (m,) intp, of the scan
-    """
-
-    beam: IndexArray
-    off_deg: FloatArray
-    azimuth_deg: FloatArray
-    range_m: FloatArray
-    row: IndexArray
-
-    @property
-    def gap_deg(self) -> FloatArray:
-        """Azimuth from each return to the next, (m - 1,) float64; NaN if the next is of another beam."""
-        return np.where(np.diff(self.beam) == 0, np.diff(self.azimuth_deg), np.nan)
-
-    def first_returns(self, is_later: BoolArray) -> _Sweep:
-        """The nearest of each group of returns that follow each other in one direction."""
-        ray = np.cumsum(~is_later)
-        order = np.lexsort((self.range_m, ray))
-        first = np.sort(order[np.flatnonzero(np.diff(ray[order], prepend=0))])
-        return self.chosen(first)
-
-    def chosen(self, rows: IndexArray | slice) -> _Sweep:
-        """Some of the returns."""
-        return _Sweep(*(values[rows] for values in vars(self).values()))
-
-
-def _by_beam(points: FloatArray, pattern: BeamPattern) -> _Sweep:
-    beam, off_deg = pattern.beam_of(points)
-    row = np.flatnonzero(beam >= 0)
-    points = points[row]
-    azimuth_deg = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
-    level = np.hypot(points[:, 0], points[:, 1]) - pattern.focal_m
-    range_m = np.sqrt(level**2 + points[:, 2] ** 2)
-    order = np.lexsort((range_m, azimuth_deg, beam[row]))
-    row = row[order]
-    return _Sweep(beam[row], off_deg[row], azimuth_deg[order], range_m[order], row)
-
-
-def _azimuth_step(sweep: _Sweep) -> float | str:
+def _azimuth_step(sweep: Sweep) -> float | str:
     bin_deg = 0.002
     most_deg = 4.0
     gap = sweep.gap_deg
     gap = gap[(gap > _LEAST_STEP_DEG) & (gap < most_deg)]
     if len(gap) < _MIN_POINTS:
         return "too few neighbouring returns"
-    bins = (gap / bin_deg).astype(np.intp)
+    bins = (gap / bin_deg).astype(int)
     count = np.bincount(bins, minlength=int(most_deg / bin_deg))
-    density = scipy.ndimage.gaussian_filter1d(count.astype(np.float64), 3.0)
+    density = scipy.ndimage.gaussian_filter1d(count.astype(float), 3.0)
     peaks, _ = scipy.signal.find_peaks(density, height=0.4 * density.max())
     step = (peaks[0] + 0.5) * bin_deg
     near = gap[np.abs(gap / step - 1.0) < 0.15]
@@ -381,7 +348,7 @@ def _azimuth_step(sweep: _Sweep) -> float | str:
     return round(float(np.median(near)), 4)
 
 
-def _firing_deg(sweep: _Sweep, step_deg: float) -> float:
+def _firing_deg(sweep: Sweep, step_deg: float) -> float:
     """Mean azimuth between firings, by the returns without a lost one between them."""
     gap = sweep.gap_deg
     return float(np.mean(gap[(gap > _LEAST_STEP_DEG) & (gap < _NEXT_STEPS * step_deg)]))
@@ -392,16 +359,15 @@ def _spread(off_deg: FloatArray) -> float | None:
     return round(_MAD * float(np.median(np.abs(off_deg))), 4) if len(off_deg) else None
 
 
-def _azimuth_noise(sweep: _Sweep, step_deg: float) -> float | None:
+def _azimuth_noise(sweep: Sweep, step_deg: float) -> float | None:
     """Noise of one azimuth, from neighbouring returns that are one step apart."""
     off_deg = sweep.gap_deg - step_deg
     return _spread(off_deg[np.abs(off_deg) < step_deg / 2] / np.sqrt(2))
 
 
-def _range_quantum(points: FloatArray, sweep: _Sweep) -> float | str:
-    for step_m in (0.01, 0.001):
-        if np.mean(np.abs(points / step_m - np.round(points / step_m)) < 0.02) > 0.98:
-            return f"coordinates are rounded to {1e3 * step_m:g} mm"
+def _range_quantum(sweep: Sweep, rounding_m: float) -> float | str:
+    if rounding_m > _FINE_M:
+        return f"coordinates are rounded to {1e3 * rounding_m:.3g} mm"
     is_near = sweep.range_m < _QUANTUM_RANGE_M
     beam = sweep.beam[is_near]
     range_m = sweep.range_m[is_near]
@@ -422,7 +388,7 @@ def _range_quantum(points: FloatArray, sweep: _Sweep) -> float | str:
     return f"no quantum from {1e3 * _QUANTA_M[-1]:g} to {1e3 * _QUANTA_M[0]:g} mm"
 
 
-def _range_noise(sweep: _Sweep, step_deg: float) -> float | str:
+def _range_noise(sweep: Sweep, step_deg: float) -> float | str:
     runs, _ = _runs_on_surface(sweep, 1.5 * step_deg)
     place = np.linspace(-1.0, 1.0, _RUN)
     if len(runs) < _FEWEST_RUNS:
@@ -438,7 +404,7 @@ def _range_noise(sweep: _Sweep, step_deg: float) -> float | str:
     return round(float(np.quantile(rms, 0.25)) / _RUN_QUARTILE, 4)
 
 
-def _least_range_noise(sweep: _Sweep, step_deg: float, noise_m: float | str) -> float | None:
+def _least_range_noise(sweep: Sweep, step_deg: float, noise_m: float | str) -> float | None:
     """Range noise without the roughness of the surface, whose variance is about proportional to the step.
 
     It is extrapolated from the noise of all returns and of every second one. The noise need not lie between both:
@@ -450,7 +416,7 @@ def _least_range_noise(sweep: _Sweep, step_deg: float, noise_m: float | str) -> 
     return round(float(np.sqrt(np.clip(2 * noise_m**2 - coarse_m**2, 0.0, noise_m**2))), 4)
 
 
-def _runs_on_surface(sweep: _Sweep, most_deg: float) -> tuple[FloatArray, FloatArray]:
+def _runs_on_surface(sweep: Sweep, most_deg: float) -> tuple[FloatArray, FloatArray]:
     """Ranges and azimuths, (n, 9) each, of returns of a beam in a row with at most this gap from one to the next."""
     has_no_gap = np.nan_to_num(sweep.gap_deg, nan=np.inf) < most_deg
     is_run = sliding_window_view(has_no_gap, _RUN - 1).all(axis=1)
@@ -460,17 +426,15 @@ def _runs_on_surface(sweep: _Sweep, most_deg: float) -> tuple[FloatArray, FloatA
     return range_m[is_surface], azimuth_deg[is_surface]
 
 
-def _surface_firings(sweep: _Sweep, step_deg: float) -> IndexArray:
+def _surface_firings(sweep: Sweep, step_deg: float) -> IndexArray:
     """Firings from each return to the next one of its beam on the same surface, (m - 1,) intp; 0 if it is not there."""
     n_firings = np.nan_to_num(np.round(sweep.gap_deg / step_deg))
-    low_m, high_m = np.sort([sweep.range_m[:-1], sweep.range_m[1:]], axis=0)
-    is_surface = (n_firings <= _HOLE + 1) & (high_m - low_m < 0.03 * low_m + 0.05)
-    return np.where(is_surface, n_firings, 0).astype(np.intp)
+    is_surface = (n_firings <= _HOLE + 1) & (sweep.apart_m < 0.03 * sweep.nearer_m + 0.05)
+    return np.where(is_surface, n_firings, 0).astype(int)
 
 
-def _lost_share(sweep: _Sweep, n_firings: IndexArray) -> float | str:
-    is_near = np.minimum(sweep.range_m[:-1], sweep.range_m[1:]) < _MOST_LOST_M
-    firings = n_firings[(n_firings >= 1) & is_near]
+def _lost_share(sweep: Sweep, n_firings: IndexArray) -> float | str:
+    firings = n_firings[(n_firings >= 1) & (sweep.nearer_m < _MOST_LOST_M)]
     if len(firings) < _MIN_POINTS:
         return f"fewer than {_MIN_POINTS} gaps between returns of one surface"
     return round(float(1.0 - len(firings) / firings.sum()), 4)

@@ -60,7 +60,7 @@ def summarise_dataset(
     """Mean, standard deviation (n - 1) over pairs, and number of pairs, of each per-pair value; nulls are left out."""
     summary = {}
     for name, of_pairs in pair_means.items():
-        values = np.array(of_pairs, dtype=np.float64)  # None becomes NaN
+        values = np.array(of_pairs, dtype=float)  # None becomes NaN
         mean, std = mean_and_std(values)
         summary[name] = ScoreSummary(
             mean=mean,

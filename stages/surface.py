@@ -15,6 +15,7 @@ from .arrays import BoolArray, FloatArray, IntArray, sums_by_id
 from .linalg.nearest import search_tree
 from .reference import visiting_order
 from .statistics.validation import double_validation_metric
+from .summary import median_of
 from .surfels import fit_planes
 
 SAMPLE_POINTS = 2000
@@ -194,9 +195,9 @@ def measure_offsets(real: Surface, sim: Surface, labels: IntArray | None = None)
     normal = real.normal[chosen]
     points = real.points[chosen]
     gap = np.zeros_like(points)
-    covered = np.zeros(len(points), dtype=np.bool_)
+    covered = np.zeros(len(points), dtype=bool)
     shift = np.zeros((n_ids, 3))
-    is_moving = np.ones(n_ids, dtype=np.bool_)
+    is_moving = np.ones(n_ids, dtype=bool)
     within_m = np.nextafter(REACH_M, np.inf)
     for _ in range(_MAX_STEPS):
         active = np.flatnonzero(is_moving[ids])
@@ -229,14 +230,14 @@ def compare_roughness(real: Surface, sim: Surface) -> dict[str, Number]:
     ----------
     real, sim : both sides; all values are None if a side has too few points
     """
-    if not len(real.roughness_m) or not len(sim.roughness_m):
-        return dict.fromkeys(
-            ("roughness_real_m", "roughness_sim_m", "roughness_bias_m", "roughness_area_m"),
-        )
-    apart = double_validation_metric(real.roughness_m, sim.roughness_m)
+    real_m = real.roughness_m
+    sim_m = sim.roughness_m
+    if not len(real_m) or not len(sim_m):
+        real_m = sim_m = np.empty(0)
+    apart = double_validation_metric(real_m, sim_m)
     return {
-        "roughness_real_m": float(np.median(real.roughness_m)),
-        "roughness_sim_m": float(np.median(sim.roughness_m)),
+        "roughness_real_m": median_of(real_m),
+        "roughness_sim_m": median_of(sim_m),
         "roughness_bias_m": apart.bias,
         "roughness_area_m": apart.area,
     }

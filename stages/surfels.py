@@ -73,7 +73,7 @@ def fit_planes(
         mean=places.copy(),
         normal=np.tile([0.0, 0.0, 1.0], (n, 1)),
         variance=np.zeros((n, 3)),
-        n_neighbours=np.zeros(n, dtype=np.intp),
+        n_neighbours=np.zeros(n, dtype=int),
     )
     if not n_most:
         return planes

@@ -8,16 +8,15 @@ the usual pipeline of ground removal, Euclidean clustering and boxes.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from ..schemas.settings import TaskSettings
-from .arrays import BoolArray, FloatArray, IndexArray, sums_by_id
+from .arrays import BoolArray, FloatArray, IndexArray, level_m, sums_by_id
 from .linalg.nearest import search_tree
 from .pieces import CutScan
+from .summary import median_of
 from .surfels import voxel_ids
 
 ALL = "all"  #: group of a gap over everything
@@ -74,11 +73,6 @@ class Obstacles:
     partner: IndexArray
     iou: FloatArray
 
-    def match(self, number: int, partner: int, iou: float) -> None:
-        """Set the partner of an obstacle."""
-        self.partner[number] = partner
-        self.iou[number] = iou
-
     @property
     def size_m(self) -> FloatArray:
         """Extents of the boxes, (m, 3)."""
@@ -92,7 +86,7 @@ class Obstacles:
     @property
     def range_m(self) -> FloatArray:
         """Horizontal distance of the centres, (m,)."""
-        return np.hypot(self.centre[:, 0], self.centre[:, 1])
+        return level_m(self.centre)
 
 
 @dataclass(frozen=True)
@@ -120,10 +114,11 @@ def compare_obstacles(real: CutScan, sim: CutScan, settings: TaskSettings) -> Ob
     real_obstacles = find_obstacles(real, settings)
     sim_obstacles = find_obstacles(sim, settings)
     overlap = box_iou(real_obstacles, sim_obstacles)
-    for row, column in zip(*scipy.optimize.linear_sum_assignment(-overlap), strict=True):
-        if overlap[row, column] >= settings.min_iou:
-            real_obstacles.match(row, column, overlap[row, column])
-            sim_obstacles.match(column, row, overlap[row, column])
+    pairs = np.stack(scipy.optimize.linear_sum_assignment(-overlap))
+    rows, columns = pairs[:, overlap[*pairs] >= settings.min_iou]
+    real_obstacles.partner[rows] = columns
+    sim_obstacles.partner[columns] = rows
+    real_obstacles.iou[rows] = sim_obstacles.iou[columns] = overlap[rows, columns]
     gaps = (
         *_unmatched("lost", real_obstacles, settings.range_m),
         *_unmatched("added", sim_obstacles, settings.range_m),
@@ -139,18 +134,19 @@ def find_obstacles(scan: CutScan, settings: TaskSettings) -> Obstacles:
     linked up to link_m (1 + r / 40 m) across the ray, and up to link_m (1 + r / 40 m)^2 along it,
     as the spacing of returns on a surface grows. Clusters of fewer than min_points are left out.
     """
-    is_near = np.hypot(scan.points[:, 0], scan.points[:, 1]) <= settings.range_m + _BORDER_M
-    is_candidate = is_near & _is_obstacle(scan, settings)
+    is_near = level_m(scan.points) <= settings.range_m + _BORDER_M
+    candidates = np.flatnonzero(is_near & _is_obstacle(scan, settings))
     cluster = np.full(len(scan.points), -1)
-    cluster[is_candidate] = _clusters(scan.points[is_candidate], settings.link_m)
+    cluster[candidates] = _clusters(scan.points[candidates], settings.link_m)
     is_clustered = cluster >= 0
-    n_points = np.bincount(cluster[is_clustered])
+    points = scan.points[is_clustered]
+    cluster_of = cluster[is_clustered]
+    n_points = np.bincount(cluster_of)
     low = np.full((len(n_points), 3), np.inf)
-    np.minimum.at(low, cluster[is_clustered], scan.points[is_clustered])
-    high = np.full((len(n_points), 3), -np.inf)
-    np.maximum.at(high, cluster[is_clustered], scan.points[is_clustered])
-    centre = (low + high) / 2
-    order = np.argsort(np.hypot(centre[:, 0], centre[:, 1]), kind="stable")
+    high = -low
+    np.minimum.at(low, cluster_of, points)
+    np.maximum.at(high, cluster_of, points)
+    order = np.argsort(level_m((low + high) / 2), kind="stable")
     order = order[n_points[order] >= settings.min_points]
     number_of = np.full(len(n_points) + 1, -1)  # the last is of points without a cluster
     number_of[order] = np.arange(len(order))
@@ -169,7 +165,7 @@ def _clusters(points: FloatArray, link_m: float) -> IndexArray:
     from sklearn.cluster import DBSCAN
 
     if not len(points):
-        return np.empty(0, dtype=np.intp)
+        return np.empty(0, dtype=int)
     range_m = np.linalg.norm(points, axis=1)
     scaled = points / (1 + range_m / _DOUBLE_AT_M)[:, None]
     _, cell, n_in_cell = np.unique(
@@ -177,8 +173,7 @@ def _clusters(points: FloatArray, link_m: float) -> IndexArray:
     )
     means = sums_by_id(scaled, cell, len(n_in_cell)) / n_in_cell[:, None]
     dbscan = DBSCAN(eps=link_m, min_samples=_CORE_POINTS)
-    labels: IndexArray = dbscan.fit(means, sample_weight=n_in_cell).labels_[cell]
-    return labels
+    return dbscan.fit(means, sample_weight=n_in_cell).labels_[cell]
 
 
 def box_iou(a: Obstacles, b: Obstacles) -> FloatArray:
@@ -189,8 +184,7 @@ def box_iou(a: Obstacles, b: Obstacles) -> FloatArray:
     a_area = (a.size_m[:, :2] + 2 * _MARGIN_M).prod(axis=1)
     b_area = (b.size_m[:, :2] + 2 * _MARGIN_M).prod(axis=1)
     union = a_area[:, None] + b_area[None, :] - common
-    overlap: FloatArray = common / union
-    return overlap
+    return common / union
 
 
 def compare_ground(real: CutScan, sim: CutScan, settings: TaskSettings) -> tuple[Gap, ...]:
@@ -238,19 +232,14 @@ def compare_occupancy(real: CutScan, sim: CutScan, settings: TaskSettings) -> tu
     """
     real_occupied, real_free = _map(real, settings)
     sim_occupied, sim_free = _map(sim, settings)
-    both = _count(real_occupied & sim_occupied)
-    either = _count(real_occupied | sim_occupied)
-    n_real = _count(real_occupied)
-    n_sim = _count(sim_occupied)
-    wrongly_free = _count(real_occupied & sim_free)
-    wrongly_occupied = _count(real_free & sim_occupied)
     gaps = {
-        "mismatch": _ratio(either - both, either),
-        "wrongly_free": _ratio(wrongly_free, n_real),
-        "wrongly_occupied": _ratio(wrongly_occupied, n_sim),
+        "mismatch": _share(real_occupied != sim_occupied, real_occupied | sim_occupied),
+        "wrongly_free": _share(sim_free, real_occupied),
+        "wrongly_occupied": _share(real_free, sim_occupied),
     }
-    areas = (n_real * settings.cell_m**2, n_sim * settings.cell_m**2)
-    return tuple(Gap("occupancy", measure, *areas, gap) for measure, gap in gaps.items())
+    real_m2 = int(real_occupied.sum()) * settings.cell_m**2
+    sim_m2 = int(sim_occupied.sum()) * settings.cell_m**2
+    return tuple(Gap("occupancy", name, real_m2, sim_m2, gap) for name, gap in gaps.items())
 
 
 def compare_free_space(real: CutScan, sim: CutScan, settings: TaskSettings) -> tuple[Gap, ...]:
@@ -260,25 +249,22 @@ def compare_free_space(real: CutScan, sim: CutScan, settings: TaskSettings) -> t
 
     over the directions in which a side has an obstacle. `real` and `sim` are the median distances.
     """
-    distances = [_first_obstacle_m(scan, settings) for scan in (real, sim)]
-    has_obstacle = np.minimum(*distances) < settings.range_m
-    real_m = distances[0][has_obstacle]
-    sim_m = distances[1][has_obstacle]
-    medians = (_median(real_m), _median(sim_m))
+    both_m = np.stack([_first_obstacle_m(scan, settings) for scan in (real, sim)])
+    real_m, sim_m = both_m[:, both_m.min(axis=0) < settings.range_m]
+    error_m = median_of(np.abs(sim_m - real_m))
     return (
-        Gap("free_space", "distance_m", *medians, _median(np.abs(sim_m - real_m)), "m"),
-        Gap("free_space", "too_far", None, None, _mean(sim_m > real_m + _TOO_FAR_M)),
+        Gap("free_space", "distance_m", median_of(real_m), median_of(sim_m), error_m, "m"),
+        Gap("free_space", "too_far", None, None, _share(sim_m > real_m + _TOO_FAR_M)),
     )
 
 
 def _is_obstacle(scan: CutScan, settings: TaskSettings) -> BoolArray:
     """True for points above the road, and at most height_m above it, (n,)."""
-    chosen: BoolArray = ~scan.is_ground & (scan.height_m <= settings.height_m)
-    return chosen
+    return ~scan.is_ground & (scan.height_m <= settings.height_m)
 
 
 def _within(scan: CutScan, range_m: float) -> CutScan:
-    is_near = np.hypot(*scan.points.T[:2]) <= range_m
+    is_near = level_m(scan.points) <= range_m
     return CutScan(scan.points[is_near], scan.is_ground[is_near], scan.height_m[is_near])
 
 
@@ -289,17 +275,18 @@ def _unmatched(measure: str, obstacles: Obstacles, range_m: float) -> list[Gap]:
     obstacles are the simulated ones.
     """
     is_near = obstacles.range_m <= range_m
-    size_of = np.digitize(obstacles.size_m[:, :2].max(axis=1), [*SIZES_M.values()]) - 1
-    distance_of = np.digitize(obstacles.range_m, [*DISTANCES_M.values()]) - 1
+    longer_m = obstacles.size_m[:, :2].max(axis=1)
     groups = {ALL: is_near}
-    groups |= {name: is_near & (size_of == i) for i, name in enumerate(SIZES_M)}
-    groups |= {name: is_near & (distance_of == i) for i, name in enumerate(DISTANCES_M)}
+    for limits_m, values_m in ((SIZES_M, longer_m), (DISTANCES_M, obstacles.range_m)):
+        group_of = np.digitize(values_m, [*limits_m.values()]) - 1
+        groups |= {name: is_near & (group_of == i) for i, name in enumerate(limits_m)}
     gaps = []
     for group, chosen in groups.items():
-        n = _count(chosen)
-        n_found = _count(chosen & (obstacles.partner >= 0))
+        is_lost = obstacles.partner[chosen] < 0
+        n = len(is_lost)
+        n_found = int((~is_lost).sum())
         counts = (n, n_found) if measure == "lost" else (n_found, n)
-        gaps.append(Gap("objects", measure, *counts, _ratio(n - n_found, n), group=group))
+        gaps.append(Gap("objects", measure, *counts, _share(is_lost), group=group))
     return gaps
 
 
@@ -307,14 +294,14 @@ def _errors(real: Obstacles, sim: Obstacles, range_m: float) -> list[Gap]:
     """Errors of size and place of the found obstacles."""
     rows = np.flatnonzero((real.partner >= 0) & (real.range_m <= range_m))
     columns = real.partner[rows]
-    real_size_m = real.size_m[rows, :2]
-    sim_size_m = sim.size_m[columns, :2]
-    size_error_m = np.abs(real_size_m - sim_size_m).max(axis=1)
-    longer_m = (_median(real_size_m.max(axis=1)), _median(sim_size_m.max(axis=1)))
+    real_m = real.size_m[rows, :2]
+    sim_m = sim.size_m[columns, :2]
+    error_m = median_of(np.abs(real_m - sim_m).max(axis=1))
+    longer_m = (median_of(real_m.max(axis=1)), median_of(sim_m.max(axis=1)))
     apart_m = np.linalg.norm(real.centre[rows, :2] - sim.centre[columns, :2], axis=1)
     return [
-        Gap("objects", "size_m", *longer_m, _median(size_error_m), "m"),
-        Gap("objects", "place_m", None, None, _median(apart_m), "m"),
+        Gap("objects", "size_m", *longer_m, error_m, "m"),
+        Gap("objects", "place_m", None, None, median_of(apart_m), "m"),
     ]
 
 
@@ -323,7 +310,7 @@ def _ground_on_common_surface(scan: CutScan, other: CutScan) -> tuple[float | No
     nearest = counterparts(scan.points, other.points)
     is_seen = nearest >= 0
     is_ground = scan.is_ground[is_seen]
-    return _mean(is_ground), _mean(is_ground != other.is_ground[nearest[is_seen]])
+    return _share(is_ground), _share(is_ground != other.is_ground[nearest[is_seen]])
 
 
 def _height_error_m(real: CutScan, sim: CutScan) -> float | None:
@@ -331,16 +318,16 @@ def _height_error_m(real: CutScan, sim: CutScan) -> float | None:
     real_cells, real_m = _ground_heights(real)
     sim_cells, sim_m = _ground_heights(sim)
     _, rows, columns = np.intersect1d(real_cells, sim_cells, return_indices=True)
-    return _median(np.abs(sim_m[columns] - real_m[rows]))
+    return median_of(np.abs(sim_m[columns] - real_m[rows]))
 
 
 def _ground_heights(scan: CutScan) -> tuple[IndexArray, FloatArray]:
     """Cells of 1 m with at least three ground points, (m,), and the mean height of each, (m,)."""
-    x, y, z = scan.points[scan.is_ground].T
-    ids = voxel_ids(np.column_stack([x, y, np.zeros(len(z))]), _GROUND_CELL_M)
+    ground = scan.points[scan.is_ground]
+    ids = voxel_ids(ground * [1, 1, 0], _GROUND_CELL_M)
     cells, cell_of, n_points = np.unique(ids, return_inverse=True, return_counts=True)
     is_measured = n_points >= _GROUND_POINTS
-    mean_m = np.bincount(cell_of, z, len(cells)) / n_points
+    mean_m = np.bincount(cell_of, ground[:, 2], len(cells)) / n_points
     return cells[is_measured], mean_m[is_measured]
 
 
@@ -353,7 +340,8 @@ def _map(scan: CutScan, settings: TaskSettings) -> tuple[BoolArray, BoolArray]:
     centre_m = (np.arange(-half, half) + 0.5) * settings.cell_m
     x, y = np.meshgrid(centre_m, centre_m, indexing="ij")
     range_m = np.hypot(x, y)
-    visible_m = np.minimum(_first_obstacle_m(scan, settings), _farthest_m(scan))
+    farthest_m = _extreme_m(np.maximum, scan.points, 0.0)
+    visible_m = np.minimum(_first_obstacle_m(scan, settings), farthest_m)
     is_visible = range_m + settings.cell_m < visible_m[_direction(x, y)]
     is_near = range_m <= settings.range_m
     is_occupied &= is_near
@@ -362,46 +350,34 @@ def _map(scan: CutScan, settings: TaskSettings) -> tuple[BoolArray, BoolArray]:
 
 def _first_obstacle_m(scan: CutScan, settings: TaskSettings) -> FloatArray:
     """Horizontal distance of the first obstacle in each direction, (360,); at most range_m."""
-    first_m = np.full(N_DIRECTIONS, settings.range_m)
-    x, y, _ = scan.points[_is_obstacle(scan, settings)].T
-    np.minimum.at(first_m, _direction(x, y), np.hypot(x, y))
-    return first_m
+    obstacles = scan.points[_is_obstacle(scan, settings)]
+    return _extreme_m(np.minimum, obstacles, settings.range_m)
 
 
-def _farthest_m(scan: CutScan) -> FloatArray:
-    """Horizontal distance of the farthest return in each direction, (360,); 0 without any."""
-    farthest_m = np.zeros(N_DIRECTIONS)
-    x, y, _ = scan.points.T
-    np.maximum.at(farthest_m, _direction(x, y), np.hypot(x, y))
-    return farthest_m
+def _extreme_m(extreme: np.ufunc, points: FloatArray, start_m: float) -> FloatArray:
+    """Least or greatest horizontal distance in each direction, (360,), and of a start."""
+    extreme_m = np.full(N_DIRECTIONS, start_m)
+    x, y, _ = points.T
+    extreme.at(extreme_m, _direction(x, y), np.hypot(x, y))
+    return extreme_m
 
 
 def _direction(x: FloatArray, y: FloatArray) -> IndexArray:
     """Direction of each place, 0 to 359, one per degree from straight behind on."""
     share = np.arctan2(y, x) / (2 * np.pi) + 0.5
-    return np.minimum((share * N_DIRECTIONS).astype(np.intp), N_DIRECTIONS - 1)
+    return np.minimum((share * N_DIRECTIONS).astype(int), N_DIRECTIONS - 1)
 
 
 def _cells(points: FloatArray, half: int, settings: TaskSettings) -> BoolArray:
     """Cells of the map, (2 half, 2 half), that hold a point."""
-    is_filled = np.zeros((2 * half, 2 * half), dtype=np.bool_)
-    cell = np.floor(points[:, :2] / settings.cell_m).astype(np.intp) + half
+    is_filled = np.zeros((2 * half, 2 * half), dtype=bool)
+    cell = np.floor(points[:, :2] / settings.cell_m).astype(int) + half
     cell = np.clip(cell, 0, 2 * half - 1)
     is_filled[cell[:, 0], cell[:, 1]] = True
     return is_filled
 
 
-def _mean(values: NDArray[Any]) -> float | None:
-    return float(values.mean()) if len(values) else None
-
-
-def _median(values: FloatArray) -> float | None:
-    return float(np.median(values)) if len(values) else None
-
-
-def _count(flags: BoolArray) -> int:
-    return int(np.count_nonzero(flags))
-
-
-def _ratio(part: float, whole: float) -> float | None:
-    return float(part / whole) if whole else None
+def _share(flags: BoolArray, is_counted: BoolArray | slice = slice(None)) -> float | None:
+    """Share of the counted flags that are set; None without any."""
+    counted = flags[is_counted]
+    return float(counted.mean()) if counted.size else None

@@ -13,8 +13,9 @@ import numpy as np
 import scipy
 from numpy.lib.stride_tricks import sliding_window_view
 
-from .arrays import BoolArray, FloatArray, IndexArray
+from .arrays import BoolArray, FloatArray, azimuths_deg, level_m, slopes_deg
 from .beam_patterns import BeamPattern, find_beams
+from .sweep import Sweep
 from .thinning import shares_voxel
 
 MISSES, RETURNS = "misses", "single_returns"
@@ -25,6 +26,8 @@ SAME_SWEEPS = "same_sweeps"
 FRAME = "frame"
 #: Needed by causes of the angles: coordinates that are finer than a centimetre.
 FINE = "fine_coordinates"
+#: Needed by the noise of the elevation: beams that are not blurred by a tilt of the simulated side.
+UPRIGHT = "upright"
 #: Of both sides: azimuth steps without a doubtful ratio; no side cropped to a box; the road; returns on each for
 #: several of the other.
 STEPS, UNCROPPED, ROAD, ENOUGH = "azimuth_steps", "uncropped", "road", "enough_returns"
@@ -64,9 +67,11 @@ _DENSE_PART = 5  # a fifth of the points
 _DENSE_M = 15.0
 _SEVERAL_SWEEPS = "two or more sweeps or sensors, or second returns, in one scan? {}; export one revolution per file"
 _NEAR_M, _NEAR_SHARE = 5.0, 0.001
+_NEAR_ROAD_M = 10.0  # beams of -15 degrees on a roof meet the road after 7 to 9 m
 _ROUNDED_M, _COARSE_M = 0.0095, 0.03
 _FEWEST_VALUES = 20
-_FEWEST_ROWS, _OFF_CENTRE, _MOST = 4, 0.05, 0.9  # of a range image; share of a column or row
+_FEWEST_ROWS, _MOST = 4, 0.9  # of a range image
+_OFF_CENTRE, _OFF_ROW = 0.002, 0.05  # of a column, as 0.4 % of noiseless sweeps begin; of a row
 _CHANGING = 2.0  # two sweeps of a moving sensor have 4, single ones up to 0.9
 _SURFACE_PART = 0.2  # of the range, between returns of one surface
 _FEWEST_AT_EDGE, _BEYOND_EDGE, _INSIDE = 20, 0.2, 0.92
@@ -129,23 +134,17 @@ def misses_text(groups: list[Misses]) -> str:
     return f"{places}: rays without a return? They are left out; set input.max_range_m={limit_m:g} to confirm"
 
 
-def later_returns(beam: IndexArray, azimuth_deg: FloatArray, range_m: FloatArray) -> BoolArray:
-    """(n,) True for returns that follow another one of the same beam and direction, beyond 1 m.
-
-    Parameters
-    ----------
-    beam, azimuth_deg, range_m : (n,) of returns sorted by beam, azimuth
-    """
-    is_far = np.minimum(range_m[1:], range_m[:-1]) > _NEAREST_M
-    is_same = is_far & (np.diff(beam) == 0) & (np.diff(azimuth_deg) < _SAME_DEG)
-    return np.concatenate([[False], is_same])
+def later_returns(sweep: Sweep) -> BoolArray:
+    """(n,) True for returns that follow another one of the same beam and direction, beyond 1 m."""
+    is_same = (sweep.nearer_m > _NEAREST_M) & (sweep.gap_deg < _SAME_DEG)
+    return np.append(False, is_same)
 
 
 def returns_text(is_later: BoolArray) -> str | None:
     """The doubt that rays have several returns; None if few have."""
     ray = np.cumsum(~is_later)
-    n_returns = np.bincount(ray)[ray]
-    share = float((is_later & (n_returns <= _MOST_RETURNS)).mean())
+    is_group = np.bincount(ray)[ray] <= _MOST_RETURNS
+    share = float((is_later & is_group).mean())
     if share < _SAME_SHARE:
         return None
     return (
@@ -154,7 +153,7 @@ def returns_text(is_later: BoolArray) -> str | None:
     )
 
 
-def _rounding_m(points: FloatArray) -> float:
+def rounding_of(points: FloatArray) -> float:
     """Step to which x and y are rounded, of the coarser of both; 0 if one is not.
 
     Then the differences of neighbouring values are multiples of the least ones. A constant may be added, as after
@@ -177,9 +176,8 @@ def _rounding_m(points: FloatArray) -> float:
     return max(steps_m)
 
 
-def doubts_of_rounding(points: FloatArray) -> dict[str, str]:
-    """The doubt that coordinates are rounded, by what cannot be trusted."""
-    step_m = _rounding_m(points)
+def doubts_of_rounding(step_m: float) -> dict[str, str]:
+    """The doubt that coordinates are rounded to a step, by what cannot be trusted."""
     text = f"coordinates are rounded to {100 * step_m:.3g} cm; export them with more digits"
     if step_m < _ROUNDED_M:
         return {}
@@ -198,20 +196,16 @@ def doubts_without_beams(points: FloatArray) -> dict[str, str]:
     return {}
 
 
-def alternation_text(beam: IndexArray, range_m: FloatArray) -> str | None:
+def alternation_text(sweep: Sweep) -> str | None:
     """The doubt that every second return of the beams is of another scan; None if it is not.
 
     Third differences of the ranges of neighbours are then larger than those of every second return.
-
-    Parameters
-    ----------
-    beam, range_m : (n,) of returns sorted by beam, azimuth
     """
-    if len(beam) < _FEWEST_GAPS:
+    if len(sweep.beam) < _FEWEST_GAPS:
         return None
-    runs_m = sliding_window_view(range_m, 7)
+    runs_m = sliding_window_view(sweep.range_m, 7)
     is_surface = np.ptp(runs_m, axis=1) < _SURFACE_PART * runs_m[:, 3]
-    runs_m = runs_m[is_surface & (beam[6:] == beam[:-6])]
+    runs_m = runs_m[is_surface & (sweep.beam[6:] == sweep.beam[:-6])]
     if len(runs_m) < _FEWEST_GAPS:
         return None
     weights = np.array([1.0, -3.0, 3.0, -1.0])
@@ -232,38 +226,36 @@ def cropped_box(points: FloatArray, other: FloatArray) -> tuple[float, ...] | No
     ----------
     points, other : (n, 3), (m, 3) float64, metres, both in one frame
     """
-    reach_m = float(np.hypot(points[:, 0], points[:, 1]).max())
-    other = other[np.hypot(other[:, 0], other[:, 1]) < reach_m]
+    reach_m = level_m(points).max()
+    other = other[level_m(other) < reach_m]
     corners = []
     n_sharp = 0
     for sign in (-1.0, 1.0):
         for axis in (0, 1):
-            edge_m = (sign * points[:, axis]).max()
+            places_m = sign * points[:, axis]
+            edge_m = places_m.max()
             corners.append(float(sign * edge_m))
             beyond_m = sign * other[:, axis] - edge_m
-            n_before = int((np.abs(beyond_m + 1.0) < 1.0).sum())
-            n_beyond = int((np.abs(beyond_m - 1.0) < 1.0).sum())
-            n_own = int((sign * points[:, axis] > edge_m - 2.0).sum())
+            n_before = (np.abs(beyond_m + 1.0) < 1.0).sum()
+            n_beyond = (np.abs(beyond_m - 1.0) < 1.0).sum()
+            n_own = (places_m > edge_m - 2.0).sum()
             goes_on = n_beyond > _BEYOND_EDGE * n_before and edge_m < _INSIDE * reach_m
             n_sharp += goes_on and 2 * n_own > n_before >= _FEWEST_AT_EDGE
     return tuple(corners) if n_sharp > 1 else None
 
 
-def sweeps_text(gap_deg: FloatArray) -> str | None:
+def sweeps_text(sweep: Sweep) -> str | None:
     """The doubt that a scan holds several sweeps or scans of several sensors; None if it does not.
 
     The azimuths of n sweeps have n phases: the gaps of a beam differ, and repeat after n of them. After one sweep with
     noisy azimuths or many losses few groups of gaps repeat.
-
-    Parameters
-    ----------
-    gap_deg : (n - 1,) azimuth from each return to the next of its beam, NaN without one
     """
+    gap_deg = sweep.gap_deg
     two_deg = gap_deg[:-1] + gap_deg[1:]
     two_deg = two_deg[(two_deg > _SAME_DEG) & (two_deg < _MOST_DEG)]
     if len(two_deg) < _FEWEST_GAPS:
         return None
-    two_steps_deg = (np.bincount((two_deg / _BIN_DEG).astype(np.intp)).argmax() + 0.5) * _BIN_DEG
+    two_steps_deg = (np.bincount((two_deg / _BIN_DEG).astype(int)).argmax() + 0.5) * _BIN_DEG
     for n_sweeps in range(2, _MOST_SWEEPS + 1):
         share, unevenness, likeness = _repetition(gap_deg, n_sweeps, n_sweeps * two_steps_deg)
         if unevenness >= _UNEVEN and likeness >= _ALIKE and share * unevenness >= _REPEATED:
@@ -304,26 +296,22 @@ def _are_multiples(values: FloatArray, unit: float) -> bool:
     """True if all values are about multiples of a unit, whose exact value follows from them."""
     numbers = np.round(values / unit)
     exact = values / np.median(values / numbers)
-    return bool(np.abs(exact - numbers).max() < _OFF_CENTRE)
+    return bool(np.abs(exact - numbers).max() < _OFF_ROW)
 
 
-def thinned_text(gap_deg: FloatArray, range_m: FloatArray, points: FloatArray) -> str | None:
+def thinned_text(sweep: Sweep, points: FloatArray) -> str | None:
     """The doubt that a scan was thinned by a grid: steps of its beams are wider near the sensor; None if they are not.
 
     With too few returns near or far, see `_grid_text`.
 
     Parameters
     ----------
-    gap_deg : (n - 1,) azimuth from each return to the next of its beam, NaN without one
-    range_m : (n,)
     points : (m, 3) all points, metres
     """
-    nearer_m = np.minimum(range_m[1:], range_m[:-1])
-    is_surface = (
-        (np.abs(np.diff(range_m)) < _SAME_DEPTH * nearer_m)
-        & (gap_deg > _SAME_DEG)
-        & (gap_deg < _MOST_DEG)
-    )
+    gap_deg = sweep.gap_deg
+    nearer_m = sweep.nearer_m
+    is_gap = (gap_deg > _SAME_DEG) & (gap_deg < _MOST_DEG)
+    is_surface = is_gap & (sweep.apart_m < _SAME_DEPTH * nearer_m)
     near_deg = gap_deg[is_surface & (nearer_m > _NEAREST_GRID_M) & (nearer_m < _NEAR_GRID_M)]
     far_deg = gap_deg[is_surface & (nearer_m > _FAR_GRID_M)]
     if min(len(near_deg), len(far_deg)) < _FEWEST_OF_GRID:
@@ -384,25 +372,24 @@ def _is_several_sweeps(points: FloatArray) -> bool:
     ----------
     points : (n, 3) float64, in the order of the file
     """
-    azimuth_deg = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
-    slope_deg = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
-    cell = (slope_deg + 90.0) // _CELL_DEG * 361 + (azimuth_deg + 180.0) // _CELL_DEG
+    row = (slopes_deg(points) + 90.0) // _CELL_DEG
+    cell = row * 361 + (azimuths_deg(points) + 180.0) // _CELL_DEG
     for n_sweeps in (2, 3, 5, 10):
         n_rows = len(points) // n_sweeps
         first = np.unique(cell[:n_rows])
         last = np.unique(cell[-n_rows:])
         if len(np.intersect1d(first, last)) > _SAME_CELLS * max(len(first), len(last)):
-            patterns = [find_beams(part) for part in (points[:n_rows], points[-n_rows:])]
-            if any(isinstance(pattern, BeamPattern) for pattern in patterns):
+            parts = (points[:n_rows], points[-n_rows:])
+            if any(isinstance(find_beams(part), BeamPattern) for part in parts):
                 return True
     return False
 
 
 @np.errstate(over="ignore")  # distances may be infinite
-def is_far_from_origin(points: FloatArray) -> bool:
-    """True if hardly any point lies within 5 m of the origin, where the sensor should be."""
+def is_far_from_origin(points: FloatArray, near_m: float = _NEAR_M) -> bool:
+    """True if hardly any point lies near the origin, where the sensor should be."""
     range_m = np.linalg.norm(points[points.any(axis=1)], axis=1)
-    return len(range_m) > 0 and float((range_m < _NEAR_M).mean()) < _NEAR_SHARE
+    return len(range_m) > 0 and float((range_m < near_m).mean()) < _NEAR_SHARE
 
 
 def _position_text(points: FloatArray) -> str | None:
@@ -414,8 +401,8 @@ def _position_text(points: FloatArray) -> str | None:
     ----------
     points : (n, 3) float64, metres
     """
-    if is_far_from_origin(points):
-        reason = f"nothing within {_NEAR_M:g} m of the origin (are they in metres?)"
+    if is_far_from_origin(points, _NEAR_ROAD_M):
+        reason = f"nothing within {_NEAR_ROAD_M:g} m of the origin (are they in metres?)"
     else:
         sample = points[np.random.default_rng(0).permutation(len(points))[:_SAMPLE]]
         apart_m, _ = scipy.spatial.cKDTree(sample).query(sample, k=_NEIGHBOURS)

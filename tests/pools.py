@@ -1,6 +1,5 @@
 """Pools that run in this process what they are given, remember it, and lose workers where a test wants it."""
 
-from fidpipe.pipeline.engine import costs
 from fidpipe.pipeline.engine.pool import Memory, Pool, WorkerDied
 
 GIB = 2**30
@@ -92,16 +91,6 @@ def jobs_in(function, args):
 
 def bytes_needed(function, args):
     """Bytes that a task may occupy, by the cost model."""
-    if name_of(function, args) == "run_batch":
-        return max(_bytes_of_batch(batch) for batch in args[0])
-    if name_of(function, args) == "score_objects":
-        batch = args[0][0]
-        nodes = [n_keep for number, n_keep in batch.plan.objects if number in batch.objects]
-        return costs.pair_bytes(batch.plan.n_points) + costs.object_bytes(max(nodes))
-    return 0
-
-
-def _bytes_of_batch(batch):
-    if batch.most_bytes is not None:
-        return batch.most_bytes
-    return batch.plan.bytes_needed(with_objects=True)
+    if function.__name__ != "run_batch":
+        return 0
+    return max(batch.most_bytes for batch in args[0])

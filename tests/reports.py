@@ -39,7 +39,9 @@ def unpacked(text, dtype=np.uint8):
     return np.frombuffer(zlib.decompress(base64.b64decode(text)), dtype)
 
 
-def points_in(view, side, name="points"):
+def points_in(view, side, name="objects"):
     """(n, 3) metres, object points of a side in a page, or its road points (`name="road"`)."""
-    steps = unpacked(view["sides"][side][name], "<i2")
-    return steps.reshape(3, -1).T * view["step_m"]
+    packed = view["sides"][side]
+    points = unpacked(packed["points"], "<i2").reshape(3, -1).T * view["step_m"]
+    n_objects = sum(packed["counts"])
+    return points[n_objects:] if name == "road" else points[:n_objects]

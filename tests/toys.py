@@ -110,7 +110,7 @@ MATCHED = ("real_id", "sim_id")
 RATIO = ("real_id", "ratio")
 OF_SIDE = Stage(
     name="crowds",
-    takes={"communities": ("community_id",)},
+    takes=("communities",),
     gives=("toy_crowds",),
     settings=("toy",),
     grain=Grain.SIDE,
@@ -118,14 +118,14 @@ OF_SIDE = Stage(
 )
 OF_PAIR = Stage(
     name="ratios",
-    takes={"toy_crowds": ("n_over",), "matching": MATCHED, "selection": ("rank",)},
+    takes=("toy_crowds", "matching", "selection"),
     gives=("toy_ratios",),
     grain=Grain.PAIR,
     make=make_ratios,
 )
 OF_OBJECT = Stage(
     name="marks",
-    takes={"toy_ratios": RATIO, "metrics": ("real_id", "cdc")},
+    takes=("toy_ratios", "metrics"),
     gives=("toy_marks",),
     grain=Grain.OBJECT,
     make=make_marks,

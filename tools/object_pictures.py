@@ -224,7 +224,7 @@ def draw_geometry(own, path):
         )
         far, total = right.subplots(2, 1, height_ratios=(1.8, 1))
         for axis, side in zip(axes, SIDES, strict=False):
-            look = {"cmap": style.fidelity_colours(), "vmin": 0, "vmax": 1}
+            look = {"cmap": style.FIDELITY_COLOURS, "vmin": 0, "vmax": 1}
             coloured = style.dots(axis, own.seen(points[side]), 4, costs[side], **look)
             title = (
                 f"{WORDS[side]}:",

@@ -26,7 +26,7 @@ from fidpipe.schemas.cause_catalogue import CAUSES, UNEVEN
 from fidpipe.schemas.columns import SIDES
 from fidpipe.schemas.metric_catalogue import METRIC
 from fidpipe.schemas.settings import Settings
-from fidpipe.stages.coverage import COVERAGE_DISTANCES_M
+from fidpipe.stages.coverage import COVERAGE_DISTANCES_M, nearest_distances
 from fidpipe.stages.ground import WINDOW_M
 from fidpipe.stages.pieces import CutScan, find_pieces
 from fidpipe.stages.surface import describe_surface, measure_offsets
@@ -301,9 +301,9 @@ def draw_matching(view, path):
 
 def coverage(axis, view, side="real"):
     """The points of a side from above by their distance to the other side, far ones on top."""
-    distance_m = view.rows[side].distance_m.to_numpy()
+    distance_m = dict(zip(SIDES, nearest_distances(*view.points.values()), strict=True))[side]
     order = np.argsort(distance_m, kind="stable")
-    ramp = {"cmap": style.fidelity_colours(), "vmin": 0, "vmax": COVERAGE_DISTANCES_M[-1]}
+    ramp = {"cmap": style.FIDELITY_COLOURS, "vmin": 0, "vmax": COVERAGE_DISTANCES_M[-1]}
     coloured = style.dots(axis, view.points[side][order], 1.2, distance_m[order], **ramp)
     shares = " / ".join(
         f"{100 * np.mean(distance_m <= reach_m):.0f}" for reach_m in COVERAGE_DISTANCES_M
@@ -519,7 +519,7 @@ def metrics(axis, view, score="r_lambda"):
     is_known = ~np.isnan(of_point)
     points = view.points["real"]
     style.dots(axis, points[~is_known], 1.5, "#cccccc")
-    look = {"cmap": style.fidelity_colours(), "vmin": 0, "vmax": 1}
+    look = {"cmap": style.FIDELITY_COLOURS, "vmin": 0, "vmax": 1}
     coloured = style.dots(axis, points[is_known], 1.5, of_point[is_known], **look)
     axis.set_title(
         f"{METRIC[score].heading} of the real objects, mean {view.row[f'{score}_mean']:.2f}"

@@ -14,6 +14,7 @@ from fidpipe.pipeline.report.look import SIDE_COLOURS
 from fidpipe.pipeline.report.run_frames import coordinates, points_of, read_results
 from fidpipe.schemas.columns import SIDES
 from fidpipe.schemas.settings import Settings
+from fidpipe.stages.coverage import nearest_distances
 from fidpipe.stages.pieces import CutScan, find_pieces
 from object_pictures import MOST_EDGES, Example, MatchedObject, choose, save
 
@@ -26,9 +27,11 @@ COVERED_COLOUR = "#aaaaaa"
 
 def draw_surface(results, pair_id, path):
     """The real points from above: covered by the simulation within 0.3 m, or not."""
-    rows = points_of(results.run, pair_id)["real"].query("not is_ground")
-    points = coordinates(rows)
-    is_covered = rows.distance_m <= 0.3
+    points, sim = [
+        coordinates(rows.query("not is_ground"))
+        for rows in points_of(results.run, pair_id).values()
+    ]
+    is_covered = nearest_distances(points, sim)[0] <= 0.3
     with style.new_figure(*SIZE_IN) as figure:
         axis = figure.subplots()
         style.dots(axis, points[is_covered], 3, COVERED_COLOUR)

@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from fidpipe.schemas.columns import Table
-from fidpipe.schemas.metric_catalogue import BASELINES, METRIC, OBJECT_SCORES
+from fidpipe.schemas.metric_catalogue import METRIC, scores_of
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import PRESETS, Settings, parse
 from fidpipe.schemas.settings_text import allowed
@@ -50,7 +50,8 @@ def columns_of(table: Table, without: Sequence[str] = ()) -> str:
 def all_scores() -> str:
     """Markdown table of our own scores: name, column, range, direction, the paper's mean, and how to read it."""
     rows = ["| score | column | range | better | paper | meaning |", "|---|---|---|---|---|---|"]
-    for metric in (METRIC["match_rate"], *OBJECT_SCORES):
+    for name in ("match_rate", *scores_of("object")):
+        metric = METRIC[name]
         high = "" if metric.high is None else f" to {metric.high:g}"
         values = f"{metric.low:g}{high or ' or more'}" if metric.low is not None else "any"
         paper = "" if metric.paper_mean is None else f"{metric.paper_mean:g} ± {metric.paper_std:g}"
@@ -69,7 +70,8 @@ def all_scores() -> str:
 def all_baselines() -> str:
     """Markdown table of the baseline metrics: name, columns, range, direction, and definition."""
     rows = ["| name | column | range | better | definition |", "|---|---|---|---|---|"]
-    for metric in BASELINES:
+    for name in scores_of("baseline"):
+        metric = METRIC[name]
         bounds = (
             f"{metric.low:g} to {metric.high:g}"
             if metric.high is not None

@@ -80,14 +80,7 @@ class PipelineTable(SphinxDirective):
 def tables_of(stage: Stage) -> str:
     """Markdown of the inputs and outputs of a stage."""
     lines = [f"One job for {_GRAINS[stage.grain]}.", ""]
-    lines += ["| input | columns |", "|---|---|"]
-    for table, columns in stage.takes.items():
-        words = (
-            "points, and labels if present"
-            if table == SCAN
-            else ", ".join(f"`{name}`" for name in columns)
-        )
-        lines.append(f"| {_table_word(table)} | {words or 'metadata of its job only'} |")
+    lines += [f"Input: {', '.join(map(_table_word, stage.takes))}."]
     lines += [f"\nOutput: `{name}`. {contracts.columns_of(TABLES[name])}" for name in stage.gives]
     return "\n".join(lines) + "\n"
 

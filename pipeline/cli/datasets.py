@@ -114,20 +114,18 @@ def twin(
     from ...stages.generate.rescan import RECORDED
     from ..engine.progress import Reporter
     from ..generate.recordings import read_recording
-    from ..generate.twin import make_twins
+    from ..generate.twin import TwinRecipe, make_twins
 
-    n_pairs, failures = make_twins(
-        read_recording(sequence, poses, calib),
-        out,
-        Reporter(),
-        flaws=parse_flaws(flaw or []),
+    recipe = TwinRecipe(
         sensor=_known_sensor(sensor, {RECORDED.name: RECORDED, **SENSORS}),
+        flaws=parse_flaws(flaw or []),
         n_others=others,
-        pattern=pairs,
         seed=seed,
         settings=load(None, assignments or []).input,
-        workers=workers,
-        replace=replace,
+    )
+    recording = read_recording(sequence, poses, calib)
+    n_pairs, failures = make_twins(
+        recording, out, Reporter(), recipe, pattern=pairs, workers=workers, replace=replace
     )
     _print_made(n_pairs, out)
     raise typer.Exit(EXIT_PAIRS_FAILED if failures else 0)
@@ -184,26 +182,10 @@ def pair(
     fidpipe pair drive.bag#/top/points carla/ -o dataset/ --offset 12.3 --every 10
     """
     from ..datasets.pairing import pair_times, read_timeline, write_dataset
-    from ..report.view import count
 
     lines = read_timeline(real), read_timeline(sim)
     pairing = pair_times(lines[0].times_s, lines[1].times_s, tolerance, offset)
-    times_s = lines[0].times_s[pairing.real_ids]
-    since_s = times_s - lines[0].times_s[0]
+    since_s = lines[0].times_s[pairing.real_ids] - lines[0].times_s[0]
     last = float("inf") if stop is None else stop
     kept = ((since_s >= start) & (since_s <= last)).nonzero()[0][::every]
-    n_unpaired = write_dataset(out, *lines, pairing, kept, replace=replace)
-    gap_s = abs(pairing.gaps_s[kept]).max()
-    how = "given" if offset is not None else "found"
-    print_line(
-        f"{count(len(kept), 'pair')} in {out / 'pairs.csv'}, at most {gap_s:.4f} s apart; "
-        f"clock offset {how}: {pairing.offset_s:+.4f} s"
-    )
-    if pairing.others_s:
-        n_others = len(pairing.others_s)
-        print_line(
-            f"{n_others} other offsets pair as many, such as {pairing.others_s[0]:+.4f} s: "
-            "if this is not the right one, set it with --offset"
-        )
-    if n_unpaired:
-        print_line(f"{count(n_unpaired, 'frame')} without a partner")
+    print_line(write_dataset(out, *lines, pairing, kept, replace=replace))

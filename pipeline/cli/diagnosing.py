@@ -8,24 +8,18 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .options import (
-    AsCsv,
     AsJson,
-    AsMarkdown,
     Assignments,
     BestCase,
     RunFolder,
     Scheduler,
-    SettingsFile,
     Workers,
-    check_machines,
-    format_of,
+    machines_of,
 )
-from .output import print_as
+from .output import print_json, print_view
 
 if TYPE_CHECKING:
     from pydantic import JsonValue
-
-    from ...schemas.settings import Settings
 
 
 def diagnose(
@@ -35,12 +29,8 @@ def diagnose(
     since: Annotated[Path | None, typer.Option(metavar="RUN")] = None,
     tell_apart: bool = False,
     best_case: BestCase = None,
-    picture: Annotated[Path | None, typer.Option(metavar="PNG")] = None,
-    settings: SettingsFile = None,
     assignments: Assignments = None,
     as_json: AsJson = False,
-    as_markdown: AsMarkdown = False,
-    as_csv: AsCsv = False,
 ) -> None:
     """Measure what fixing each cause of a run would gain, and what no cause explains.
 
@@ -51,8 +41,7 @@ def diagnose(
 
     With --tell-apart instead: a classifier learns to recognise simulated points by their
     neighbourhood (shape, roughness, spacing, rays, intensity) and is tested on other places. AUC
-    0.5: it cannot; 1: it always can. Position has no influence. --settings and --set are for two
-    folders.
+    0.5: it cannot; 1: it always can. Position has no influence. --set is for two folders.
 
     Parameters
     ----------
@@ -61,7 +50,6 @@ def diagnose(
     since : Run of an earlier build on the same real scans.
     tell_apart : Test if a classifier can distinguish real and simulated points.
     best_case : With --tell-apart: best case whose second measurements are compared.
-    picture : With --tell-apart: map of the recognised points.
 
     Examples
     --------
@@ -71,31 +59,22 @@ def diagnose(
 
     fidpipe diagnose runs/dataset --json | jq '.causes[0]'
 
-    fidpipe diagnose runs/dataset --tell-apart --picture map.png
+    fidpipe diagnose runs/dataset --tell-apart
 
     fidpipe diagnose real/ sim/ --tell-apart --set input.sim_frame=carla
     """
-    from ...schemas.settings import load
-
-    output = format_of(as_json, as_markdown, as_csv)
-    check_machines(workers, scheduler)
-    if not tell_apart and (len(sources) > 1 or best_case or picture or settings or assignments):
-        raise typer.BadParameter("expected one run and no option of --tell-apart")
-    if tell_apart and (since or as_csv):
-        raise typer.BadParameter("--since and --csv are for causes; leave out --tell-apart")
     if tell_apart:
-        if len(sources) == 1 and (settings or assignments):
-            raise typer.BadParameter("a run has its settings; leave out --settings and --set")
-        if len(sources) > 2 or (len(sources) == 2 and best_case):
-            raise typer.BadParameter("expected one run, or two folders without --best-case")
-        _tell_apart(sources, best_case, picture, load(settings, assignments or []), output)
+        if since:
+            raise typer.BadParameter("--since is for causes; leave out --tell-apart")
+        _tell_apart(sources, best_case, assignments, as_json=as_json)
         return
+    if len(sources) > 1 or best_case or assignments:
+        raise typer.BadParameter("expected one run and no option of --tell-apart")
     from ..diagnose.diagnose import diagnose_run
-    from ..diagnose.diagnosis_view import diagnosis_records, diagnosis_view
-    from ..engine.engine import Machines
+    from ..diagnose.diagnosis_view import diagnosis_view
     from ..engine.progress import Reporter
 
-    diagnosis = diagnose_run(sources[0], Reporter(), Machines(workers, scheduler))
+    diagnosis = diagnose_run(sources[0], Reporter(), machines_of(workers, scheduler))
     view = list(diagnosis_view(diagnosis))
     values = diagnosis.as_dict()
     if since is not None:
@@ -105,31 +84,33 @@ def diagnose(
         (comparison,) = compare_runs([since, sources[0]], reporter=Reporter())
         view += changed_since(comparison)
         values |= {"since": str(since), "changes": comparison.as_dict()["causes"]}
-    print_as(output, lambda: view, lambda: diagnosis_records(diagnosis), lambda: values)
+    if as_json:
+        print_json(values)
+    else:
+        print_view(view)
 
 
 def _tell_apart(
-    sources: list[Path],
-    best_case: Path | None,
-    picture: Path | None,
-    settings: Settings,
-    output: str,
+    sources: list[Path], best_case: Path | None, assignments: list[str] | None, *, as_json: bool
 ) -> None:
+    from ...schemas.settings import load
+    from ..diagnose.diagnosis_view import tell_apart_view
     from ..diagnose.tell_apart import tell_apart_folders, tell_apart_run
-    from ..diagnose.tell_apart_view import draw_map, tell_apart_view
-    from ..report.view import Table
     from ..results.finished import FinishedRun
 
-    if len(sources) == 2:
-        found = tell_apart_folders(sources[0], sources[1], settings)
+    if len(sources) == 1:
+        if assignments:
+            raise typer.BadParameter("a run has its settings; leave out --set")
+        second = FinishedRun(best_case) if best_case else None
+        values = tell_apart_run(FinishedRun(sources[0]), second)
     else:
-        found = tell_apart_run(
-            FinishedRun(sources[0]), FinishedRun(best_case) if best_case else None
-        )
-    if picture:
-        draw_map(found, picture)
-    view = tell_apart_view(found)
-    print_as(output, lambda: view, lambda: Table("", (), ()), lambda: {"tell_apart": found.values})
+        if len(sources) > 2 or best_case:
+            raise typer.BadParameter("expected one run, or two folders without --best-case")
+        values = tell_apart_folders(sources[0], sources[1], load(None, assignments or []))
+    if as_json:
+        print_json({"tell_apart": values})
+    else:
+        print_view(tell_apart_view(" and ".join(map(str, sources)), values))
 
 
 def tasks(
@@ -139,8 +120,6 @@ def tasks(
     ] = None,
     odometry: bool = False,
     as_json: AsJson = False,
-    as_markdown: AsMarkdown = False,
-    as_csv: AsCsv = False,
 ) -> None:
     """Show what a perception stack gets from both scans: of a run with --tasks, or of your model.
 
@@ -161,7 +140,7 @@ def tasks(
 
     fidpipe tasks runs/dataset --predictions labels/real labels/sim
 
-    fidpipe tasks runs/dataset --predictions boxes/real boxes/sim --csv > objects.csv
+    fidpipe tasks runs/dataset --predictions boxes/real boxes/sim --json | jq '.objects'
 
     fidpipe tasks runs/dataset --odometry
     """
@@ -171,21 +150,21 @@ def tasks(
     from ..results.finished import FinishedRun
     from ..results.odometry import compare_odometry
 
-    output = format_of(as_json, as_markdown, as_csv)
     if predictions and odometry:
         raise typer.BadParameter("expected --predictions or --odometry, got both")
     finished = FinishedRun(run)
     if predictions:
         agreement = compare_predictions(finished, *predictions)
         view = views.agreement_view(agreement)
-        rows = [*agreement.objects]
-        plain: JsonValue = agreement.as_dict()
+        values: JsonValue = agreement.as_dict()
     elif odometry:
         rows = compare_odometry(finished)
         view = views.odometry_view(rows)
-        plain = [*rows]
+        values = [*rows]
     else:
-        rows = [summary.as_dict() for summary in finished.task_summaries]
         view = tasks_view(finished.task_summaries)
-        plain = [*rows]
-    print_as(output, lambda: view, lambda: views.records(rows), lambda: plain)
+        values = [summary.as_dict() for summary in finished.task_summaries]
+    if as_json:
+        print_json(values)
+    else:
+        print_view(view)

@@ -26,7 +26,6 @@ def perturb(
     source: Path,
     out: Annotated[Path | None, typer.Option(show_default="runs/NAME-perturb")] = None,
     sweep: Annotated[list[str] | None, typer.Option(metavar="KIND[=AMOUNTS]")] = None,
-    objects: Annotated[str | None, typer.Option(metavar="3,7,12")] = None,
     metrics: Annotated[str | None, typer.Option(metavar="chamfer,emd")] = None,
     repeats: Count = 20,
     global_repeats: Annotated[int, typer.Option(min=0)] = 5,
@@ -41,15 +40,14 @@ def perturb(
     """Alter a real scan in known ways and see how the scores respond: the paper's Table I.
 
     Kinds: noise, dropout, rigid (motion), hallucination (spurious clusters) and density, on the
-    whole scan and on single objects (by default vegetation, car, tree and wall, or without labels
-    one of each shape). Of a dataset, the real side of the first pair is used. Run again to resume.
+    whole scan and on single objects (a vegetation, a car, a tree and a wall, or without labels one
+    of each shape). Of a dataset, the real side of the first pair is used. Run again to resume.
 
     Parameters
     ----------
     source : A scan file, or a dataset's folder.
     out : Folder of the results.
     sweep : One kind; repeatable.
-    objects : Objects by number or label.
     metrics : Baseline metrics, or all.
     repeats : Trials per level on an object.
     global_repeats : Trials on the whole scan.
@@ -62,7 +60,7 @@ def perturb(
 
     fidpipe perturb dataset/ --pairs '000*' --workers 8
 
-    fidpipe perturb scan.bin --sweep noise --sweep dropout=0.1,0.3,0.5 --objects 3,7,12
+    fidpipe perturb scan.bin --sweep noise --sweep dropout=0.1,0.3,0.5
 
     fidpipe perturb scan.bin --sweep rigid=0:1,0.1:5        metres:degrees
 
@@ -79,7 +77,6 @@ def perturb(
         repeats=repeats,
         global_repeats=global_repeats,
         seed=seed,
-        objects=tuple(objects.split(",")) if objects else None,
     )
     outcome = perturb_source(
         source,

@@ -10,24 +10,22 @@ import typer
 
 from .options import (
     EXIT_GATE_FAILED,
-    AsCsv,
     AsJson,
-    AsMarkdown,
     Assignments,
     BestCase,
-    ComparePreset,
     OutFile,
+    Preset,
     RunFolder,
     SettingsFile,
     Workers,
-    format_of,
+    machines_of,
 )
-from .output import print_as, print_view
+from .output import print_json, print_view
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from ..results.gate import Check
+    from ..results.gate import Check, Judged
 
 
 def gate(
@@ -36,17 +34,14 @@ def gate(
     at_least: Annotated[list[str] | None, typer.Option("--min", metavar="MEASURE=NUMBER")] = None,
     criteria: Path | None = None,
     best_case: BestCase = None,
-    junit: Annotated[Path | None, typer.Option(show_default="RUN/gate.xml")] = None,
-    json_: Annotated[
-        Path | None, typer.Option("--json-file", "--json", show_default="RUN/gate.json")
-    ] = None,
     out: Annotated[Path | None, typer.Option(show_default="the run's own")] = None,
 ) -> None:
     """Check a run against acceptance criteria; exits with 0 if all are met, with 4 if not.
 
     A criterion on a measure that could not be computed fails. So does a run with failed pairs, an
     unfinished run, and one whose scans have changed, unless pairs.failed, pairs.to_do and
-    pairs.changed have other bounds. If the run's folder is read-only, the result is only printed.
+    pairs.changed have other bounds. Writes gate.xml (JUnit) and gate.json into the run; if that is
+    read-only, the result is only printed.
 
     Measures: r_lambda.mean, cdc.max, match_rate.min (over pairs), objects.r_lambda.q95 (over
     objects), not_found.within_20m, extra.share, class.car.r_lambda.mean,
@@ -59,15 +54,13 @@ def gate(
     at_most : Upper bound of a measure; repeatable.
     at_least : Lower bound of a measure; repeatable.
     criteria : TOML file of criteria, each with a name and a reason.
-    junit : JUnit XML for CI.
-    json_ : Result as JSON.
     out : Folder for gate.xml and gate.json.
 
     Examples
     --------
     fidpipe gate runs/dataset --max r_lambda.mean=0.4 --min match_rate.mean=0.55
 
-    fidpipe gate runs/dataset --max not_found.within_20m=3 --max pairs.failed=1 --junit gate.xml
+    fidpipe gate runs/dataset --max not_found.within_20m=3 --max pairs.failed=1 --out build
 
     fidpipe gate runs/dataset --max causes.height=0.05 --max causes.missing_parts=0.02
 
@@ -75,7 +68,7 @@ def gate(
 
     fidpipe gate runs/dataset --best-case runs/dataset-best-case --max excess.cdc.mean=0.1
     """
-    from ..report.views.gate_view import gate_checks, gate_view
+    from ..report.views.gate_view import gate_view
     from ..results.gate import judge_run, parse_word, read_criteria
 
     wanted = read_criteria(criteria) if criteria else []
@@ -84,8 +77,8 @@ def gate(
     if not wanted:
         raise typer.BadParameter("no criterion given; expected --max, --min or --criteria")
     result = judge_run(run, wanted, best_case)
-    suites = {str(run): gate_checks(result)}
-    _write_for_ci("gate", suites, result.as_dict(), run, junit, json_, out)
+    suites = {str(run): result.judged}
+    _write_for_ci("gate", suites, result.as_dict(), run, out)
     print_view(gate_view(result))
     raise typer.Exit(0 if result.passed else EXIT_GATE_FAILED)
 
@@ -95,16 +88,12 @@ def compare(
     html: OutFile = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR")] = None,
     as_json: AsJson = False,
-    as_markdown: AsMarkdown = False,
-    as_csv: AsCsv = False,
     fail_on: Literal["worse", "undecided"] | None = None,
     undecided_ok: bool = False,
-    junit: OutFile = None,
-    json_file: OutFile = None,
     allow_different_settings: bool = False,
     independent: bool = False,
     all_: Annotated[bool, typer.Option("--all")] = False,
-    preset: ComparePreset = "reference",
+    preset: Preset = "reference",
     settings: SettingsFile = None,
     assignments: Assignments = None,
     workers: Workers = None,
@@ -116,8 +105,7 @@ def compare(
     and --workers. --fail-on worse exits with 4 if a cause or a family is worse or mixed, if a pair
     that the base has scored failed or is not compared, and if the comparison is undecided for lack
     of places (unless --undecided-ok); --fail-on undecided also if nothing is decided. It writes
-    compare.xml and compare.json into the last run unless --junit, --json-file or --out say
-    otherwise.
+    compare.xml (JUnit) and compare.json into the last run, or into the folder of --out.
 
     Parameters
     ----------
@@ -127,8 +115,6 @@ def compare(
     out : Folder for compare.html, .xml, .json.
     fail_on : Exit with 4 on worse, or also on undecided.
     undecided_ok : Accept a comparison that too few places leave undecided.
-    junit : JUnit XML of --fail-on.
-    json_file : JSON of --fail-on.
     allow_different_settings : Allow runs of other settings.
     independent : Treat each pair as independent.
     all_ : Show every score and the objects that changed most.
@@ -143,29 +129,23 @@ def compare(
 
     fidpipe compare runs/base runs/new --html new.html
 
-    fidpipe compare runs/base runs/new --fail-on worse --junit build/compare.xml
-
-    fidpipe compare runs/build41 runs/build42 --markdown >> comment.md
+    fidpipe compare runs/base runs/new --fail-on worse --out build
     """
     from ...schemas.settings import load
     from ..builds import runs_of
-    from ..engine.engine import Machines
     from ..engine.progress import Reporter
-    from ..report.views.compare_view import compare_records, compare_view
+    from ..report.views.compare_view import compare_view
     from ..report.views.gate_view import base_view
     from ..results.compare import compare_runs
     from ..results.gate import judge_comparison
     from ..storage.files import write_whole
 
-    output = format_of(as_json, as_markdown, as_csv)
-    if fail_on is None and (junit or json_file):
-        raise typer.BadParameter("--junit and --json-file are of --fail-on; give it as well")
     if undecided_ok and fail_on != "worse":
         raise typer.BadParameter("--undecided-ok is for --fail-on worse")
     _check_runs(runs, has_settings=bool(settings or assignments or preset != "reference"))
     in_force = load(settings, assignments or [], preset=preset)
     reporter = Reporter()
-    runs = runs_of(runs, in_force, reporter, Machines(workers))
+    runs = runs_of(runs, in_force, reporter, machines_of(workers))
     comparisons = compare_runs(
         runs,
         allow_different_settings=allow_different_settings,
@@ -180,19 +160,17 @@ def compare(
     results = []
     if fail_on:
         results = [judge_comparison(c, fail_on, undecided_ok=undecided_ok) for c in comparisons]
-    views = [compare_view(c, with_all=all_ or output == "markdown") for c in comparisons]
-    print_as(
-        output,
-        view=lambda: [*chain(*views, *map(base_view, results))],
-        records=lambda: compare_records(comparisons),
-        values=lambda: [result.as_dict() for result in results or comparisons],
-    )
+    if as_json:
+        print_json([result.as_dict() for result in results or comparisons])
+    else:
+        views = [compare_view(comparison, with_all=all_) for comparison in comparisons]
+        print_view([*chain(*views, *map(base_view, results))])
     if results:
         suites = {}
         for result in results:
             suites[f"{result.comparison.other} against {result.comparison.base}"] = result.checks
         content = {"comparisons": [result.as_dict() for result in results]}
-        _write_for_ci("compare", suites, content, runs[-1], junit, json_file, out)
+        _write_for_ci("compare", suites, content, runs[-1], out)
         raise typer.Exit(EXIT_GATE_FAILED if any(result.failed for result in results) else 0)
 
 
@@ -211,11 +189,9 @@ def _check_runs(runs: list[Path], *, has_settings: bool) -> None:
 
 def _write_for_ci(
     name: str,
-    suites: Mapping[str, Sequence[Check]],
+    suites: Mapping[str, Sequence[Check | Judged]],
     content: dict[str, Any],
     run: Path,
-    junit: Path | None,
-    json_file: Path | None,
     out: Path | None,
 ) -> None:
     """Write JUnit XML and JSON, by default into the run, where a failure to write is only a warning."""
@@ -225,11 +201,11 @@ def _write_for_ci(
     from ..storage.files import write_whole
     from ..storage.run_record import dumps
 
-    files = {"xml": (junit, junit_xml(name, suites)), "json": (json_file, dumps(content))}
-    for suffix, (path, text) in files.items():
+    files = {"xml": junit_xml(name, suites), "json": dumps(content)}
+    for suffix, text in files.items():
         try:
-            write_whole(path or (out or run) / f"{name}.{suffix}", text)
+            write_whole((out or run) / f"{name}.{suffix}", text)
         except RunError as error:
-            if path or out:
+            if out:
                 raise
             Reporter().warn(str(error))

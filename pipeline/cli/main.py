@@ -156,9 +156,7 @@ def _usage_words(error: Any) -> str:
     context = getattr(error, "ctx", None)
     if context is None or not sys.argv[1:]:
         return text
-    text = text.replace("Value error, ", "").removeprefix("Invalid value: ").rstrip(".")
-    text = text.replace(". Did", "; did")
-    return f"error: {text[:1].lower()}{text[1:]}; see {context.command_path} --help"
+    return f"error: {text.rstrip('.')}; see {context.command_path} --help"
 
 
 def _refusal(error: OSError) -> str:

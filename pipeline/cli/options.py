@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from ..engine.engine import Machines
 
 #: Options of which each command says what they are, in its docstring.
 Count = Annotated[int, typer.Option(min=1)]
@@ -23,16 +26,7 @@ Preset = Annotated[
     str | None,
     typer.Option(
         metavar="paper|reference",
-        show_default="paper",
-        help="Objects of each side, or only of the real one, to compare simulators.",
-    ),
-]
-ComparePreset = Annotated[
-    str,
-    typer.Option(
-        "--preset",
-        metavar="paper|reference",
-        help="Preset of what is evaluated first.",
+        help="Objects of each side (paper), or of the real one (reference), to compare simulators.",
     ),
 ]
 DatasetFolder = Annotated[
@@ -70,10 +64,6 @@ BestCase = Annotated[
     typer.Option(metavar="RUN", help="Show scores minus those of this run of fidpipe best-case."),
 ]
 Replace = Annotated[bool, typer.Option(help="Replace finished results.")]
-AsMarkdown = Annotated[
-    bool, typer.Option("--markdown", help="Markdown, to paste into a merge request.")
-]
-AsCsv = Annotated[bool, typer.Option("--csv", help="CSV, for a spreadsheet.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Strict JSON, nothing else.")]
 
 EXIT_WRONG_INPUT = 1
@@ -82,20 +72,14 @@ EXIT_GATE_FAILED = 4
 EXIT_INTERRUPTED = 130
 
 
-def format_of(as_json: bool, as_markdown: bool, as_csv: bool) -> str:
-    """Format of the output, "" for people; `typer.BadParameter` if more than one is given."""
-    requested = {"json": as_json, "markdown": as_markdown, "csv": as_csv}
-    formats = [name for name, is_requested in requested.items() if is_requested]
-    if len(formats) > 1:
-        raise typer.BadParameter(
-            "--json, --markdown and --csv exclude each other; give one of them"
-        )
-    return formats[0] if formats else ""
+def machines_of(
+    workers: int | None, scheduler: str | None = None, pair_timeout_s: float | None = None
+) -> Machines:
+    """Where a command works; `typer.BadParameter` if both machines and a cluster are given."""
+    from ..engine.engine import Machines
 
-
-def check_machines(workers: int | None, scheduler: str | None) -> None:
-    """Raise `typer.BadParameter` if both a number of workers and a cluster are given."""
     if scheduler is not None and workers is not None:
         raise typer.BadParameter(
             "--workers is for this machine, --scheduler for a cluster; give one of the two"
         )
+    return Machines(workers, scheduler, pair_timeout_s)

@@ -12,12 +12,12 @@ from ..terminal import shown
 from .options import EXIT_PAIRS_FAILED
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from pydantic import JsonValue
 
     from ...schemas.results import JsonObject
-    from ..report.view import Table, View
+    from ..report.view import View
 
 
 def print_view(view: View) -> None:
@@ -26,23 +26,6 @@ def print_view(view: View) -> None:
     from ..terminal import Terminal
 
     Terminal(soft_wrap=not sys.stdout.isatty()).print(terminal(view))
-
-
-def print_as(
-    output: str,
-    view: Callable[[], View],
-    records: Callable[[], Table],
-    values: Callable[[], JsonValue],
-) -> None:
-    """Print a result as "json", "csv" or "markdown", or for people ("")."""
-    from ..report.render import csv_table, markdown
-
-    if output == "json":
-        print_json(values())
-    elif output:
-        print_text(csv_table(records()) if output == "csv" else markdown(view()))
-    else:
-        print_view(view())
 
 
 def print_outcome(result: View | JsonObject, failures: Mapping[str, str]) -> None:
@@ -62,7 +45,7 @@ def print_line(text: str) -> None:
 
 
 def print_text(text: str) -> None:
-    """Print Markdown or CSV in UTF-8, regardless of the terminal's language."""
+    """Print a text in UTF-8, regardless of the terminal's language."""
     sys.stdout.flush()
     sys.stdout.buffer.write(text.encode())
 

@@ -24,7 +24,7 @@ from .options import (
     SettingsFile,
     SimFolder,
     Workers,
-    check_machines,
+    machines_of,
 )
 from .output import print_json, print_outcome, print_text, print_view
 
@@ -86,27 +86,22 @@ def check(
 
     fidpipe check dataset/ --json | jq -r '.faults[]'
     """
-    from ...schemas.settings import load
+    from ...schemas.settings import load, overrides, preset_of
     from ..inspect.check_view import check_json, check_view
     from ..inspect.scan_checks import check_dataset
+    from ..storage.run_record import as_options
 
     if preset is None and settings is None:
         preset = "reference"
-    words: list[object] = ["fidpipe", "run", dataset]
-    if sim is not None:
-        words.append(sim)
-    if preset is not None:
-        words += ["--preset", preset]
-    if settings is not None:
-        words += ["--settings", settings]
-    for assignment in assignments or []:
-        words += ["--set", assignment]
+    in_force = load(settings, assignments or [], preset=preset)
+    folders = [str(dataset)] if sim is None else [str(dataset), str(sim)]
+    options = as_options(preset_of(in_force), overrides(in_force))
     dataset, _ = dataset_and_run(dataset, sim, None)
-    result = check_dataset(dataset, load(settings, assignments or [], preset=preset))
+    result = check_dataset(dataset, in_force)
     if as_json:
         print_json(check_json(result))
     else:
-        print_view(check_view(result, shlex.join(map(str, words))))
+        print_view(check_view(result, shlex.join(["fidpipe", "run", *folders, *options])))
     raise typer.Exit(EXIT_WRONG_INPUT if result.faults or result.doubts else 0)
 
 
@@ -170,7 +165,6 @@ def run(
     from ...schemas.settings import load
     from ..engine import prefork
 
-    check_machines(workers, scheduler)
     words = list(assignments or [])
     if seeds is not None:
         words.append(f"stability.seeds={seeds}")
@@ -183,7 +177,6 @@ def run(
             ["fidpipe.pipeline.jobs"]
         )  # a new run needs workers as soon as all else is imported
 
-    from ..engine.engine import Machines
     from ..engine.progress import Reporter
     from ..jobs import stages_under
     from ..report.views.run_view import outcome_values, outcome_view
@@ -201,7 +194,7 @@ def run(
         Reporter(),
         from_stage=from_stage,
         pattern=pairs,
-        machines=Machines(workers, scheduler, pair_timeout_s=pair_timeout),
+        machines=machines_of(workers, scheduler, pair_timeout),
         replace=replace,
     )
     print_outcome(outcome_values(outcome) if as_json else outcome_view(outcome), outcome.failures)
@@ -247,12 +240,10 @@ def best_case(
     from ...schemas.settings import load
     from ..storage.files import path_exists
 
-    check_machines(workers, scheduler)
     is_run = path_exists(source / "run.json")
     if is_run and (preset or settings or assignments):
         raise typer.BadParameter("a run has its settings; leave out --preset, --settings and --set")
 
-    from ..engine.engine import Machines
     from ..engine.progress import Reporter
     from ..generate.best_case_run import run_best_case
     from ..report.views.run_view import outcome_view
@@ -277,7 +268,7 @@ def best_case(
         lost_share=dropout,
         seed=seed,
         pattern=pairs,
-        machines=Machines(workers, scheduler, pair_timeout_s=pair_timeout),
+        machines=machines_of(workers, scheduler, pair_timeout),
         replace=replace,
     )
     print_outcome(outcome_view(outcome), outcome.failures)

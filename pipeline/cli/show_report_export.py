@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from .options import AsCsv, AsJson, AsMarkdown, BestCase, Pairs, RunFolder, format_of
-from .output import print_as, print_line
+from .options import AsJson, BestCase, Pairs, RunFolder
+from .output import print_json, print_line, print_view
 
 
 def show(
@@ -18,8 +18,6 @@ def show(
     all_: Annotated[bool, typer.Option("--all")] = False,
     best_case: BestCase = None,
     as_json: AsJson = False,
-    as_markdown: AsMarkdown = False,
-    as_csv: AsCsv = False,
 ) -> None:
     """Show a finished run, one of its pairs, or one object.
 
@@ -40,34 +38,20 @@ def show(
     fidpipe show runs/dataset --best-case runs/dataset-best-case    minus a perfect simulator
 
     fidpipe show runs/dataset 0007 --json | jq '.objects[0].real.r_lambda'
-
-    fidpipe show runs/dataset --markdown       the summary, for a merge request
-
-    fidpipe show runs/dataset --csv > pairs.csv    a row per pair; of a pair a row per object and side
     """
-    output = format_of(as_json, as_markdown, as_csv)
-    if all_ and object_ is not None:
-        raise typer.BadParameter("--all is about a run or a pair; leave out the object")
     if best_case is not None and pair is not None:
-        raise typer.BadParameter("--best-case is about the scores of a run; leave out the pair")
-    if (as_markdown or as_csv) and (all_ or best_case is not None):
-        raise typer.BadParameter(
-            "--markdown and --csv are of a run, a pair or an object; leave out --all and "
-            "--best-case"
-        )
+        raise typer.BadParameter("--best-case is about a run; leave out the pair")
 
-    from ..report.views.show_view import show_json, show_records, show_view
+    from ..report.views.show_view import show_json, show_view
     from ..results.best_case import excess_over
     from ..results.finished import FinishedRun
 
     finished = FinishedRun(run)
     excess = None if best_case is None else excess_over(finished, best_case)
-    print_as(
-        output,
-        view=lambda: show_view(finished, pair, object_, excess, with_all=all_),
-        records=lambda: show_records(finished, pair, object_),
-        values=lambda: show_json(finished, pair, object_, excess),
-    )
+    if as_json:
+        print_json(show_json(finished, pair, object_, excess))
+    else:
+        print_view(show_view(finished, pair, object_, excess, with_all=all_))
 
 
 def report(

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ...schemas.errors import ScanError
 from ..storage.files import file_marks, hash_file, key_of
-from ..storage.urls import n_bytes_of
+from ..storage.urls import stub_size
 from .pairs import ScanPair
 from .readers.scan_ref import ScanRef, scan_ref
 
@@ -58,11 +58,16 @@ def scan_content(source: ScanRef | Path, hash_of: Callable[[Path], str] = file_h
     """
     scan = scan_ref(source)
     try:
-        n_bytes = sum(n_bytes_of(file) for file in scan.files)
+        if scan.stubs:
+            n_bytes = stub_size(scan.stubs[0])
+            hashes = [key_of(scan.stubs[0])]
+            label_sha256 = key_of(*scan.stubs[1:]) if scan.stubs[1:] else ""
+        else:
+            n_bytes = sum(file.stat().st_size for file in scan.files)
+            hashes = [hash_of(file) for file in scan.files]
+            label_sha256 = hash_of(scan.labels) if scan.labels.exists() else ""
         if not n_bytes:
             raise ScanError(f"{scan}: the file is empty; expected points")
-        hashes = [hash_of(file) for file in scan.files]
-        label_sha256 = hash_of(scan.labels) if scan.labels.exists() else ""
     except OSError as error:
         raise ScanError(f"{scan}: cannot be read ({error.strerror})") from error
     if not label_sha256 and scan.format.module and not scan.format.columns:

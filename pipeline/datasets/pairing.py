@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import re
 import shlex
@@ -25,6 +24,7 @@ from .pairs import (
     NO_PARTNER,
     Dataset,
     folders_of_scans,
+    read_rows,
     scans_in,
 )
 from .readers import frames_of
@@ -93,29 +93,27 @@ def dataset_of(real: Path, sim: Path, out: Path) -> tuple[Path, str]:
     FidpipeError
         A side cannot be read, nothing pairs them, or `out` has the pairs of other sides.
     """
-    for source in (real, sim):
-        if not (source.is_dir() or scan_ref(source).format.holds_frames):
-            raise DatasetError(
-                f"{source}: expected a folder of scans or a recording (bag, capture)",
-            )
     real, sim = _side(real), _side(sim)
     if _are_a_dataset(real, sim):
         return real.parent, ""
     real_line, sim_line, pairing = _paired(real, sim)
     _require_same_sides(real, sim, out)
-    n_pairs = len(pairing.real_ids)
-    n_unpaired = write_dataset(out, real_line, sim_line, pairing, np.arange(n_pairs), replace=True)
-    how = "name"
-    if not pairing.by_name:
-        how = f"time (clock offset found: {pairing.offset_s:+.4f} s"
-        if pairing.others_s:
-            how += f"; {len(pairing.others_s)} other offsets pair as many, see fidpipe pair"
-        how += ")"
-    pairs = "1 pair" if n_pairs == 1 else f"{n_pairs} pairs"
-    text = f"{pairs} by {how}: {out / MANIFEST}"
-    if n_unpaired:
-        text += f"; frames without a partner, left out: {n_unpaired}"
-    return out, text
+    return out, write_dataset(out, real_line, sim_line, pairing, replace=True)
+
+
+def _side(source: Path) -> Path:
+    """The recording or folder of scans that the user means: the only folder with scans, also one level down."""
+    if scan_ref(source).format.holds_frames:
+        return source
+    if not source.is_dir():
+        raise DatasetError(f"{source}: expected a folder of scans or a recording (bag, capture)")
+    folders = folders_of_scans(source)
+    if len(folders) > 1:
+        names = ", ".join(path.name for path in folders)
+        raise DatasetError(
+            f"{source}: {len(folders)} folders hold scans ({names}); name one of them",
+        )
+    return folders[0] if folders else source
 
 
 def _paired(real: Path, sim: Path) -> tuple[Timeline, Timeline, Pairing]:
@@ -132,17 +130,17 @@ def _paired(real: Path, sim: Path) -> tuple[Timeline, Timeline, Pairing]:
     except DatasetError as error:
         if is_recording:
             raise
-        if not (scans_in(real) and scans_in(sim)):
-            raise DatasetError(_no_partner(real, sim)) from None
-        raise DatasetError(f"{_no_partner(real, sim)} (by time: {error})") from error
+        by_time = f" (by time: {error})" if scans_in(real) and scans_in(sim) else ""
+        raise DatasetError(f"{_no_partner(real, sim)}{by_time}") from error
     return *lines, pair_times(lines[0].times_s, lines[1].times_s, TOLERANCE_S)
 
 
 def _require_same_sides(real: Path, sim: Path, out: Path) -> None:
     """Raise `DatasetError` if a folder has the pairs of other sides."""
-    for _, *names in _listed(out / MANIFEST)[:1]:
-        for source, name in zip((real, sim), names, strict=True):
-            file = scan_ref(out / name).file.resolve()
+    for row in _listed(out / MANIFEST)[:1]:
+        for source, name in zip((real, sim), row[1:], strict=True):
+            # no path has a null byte
+            file = scan_ref(out / name.replace("\0", "?")).file.resolve()
             if scan_ref(source).file.resolve() not in (file, file.parent):
                 raise DatasetError(
                     f"{out}: has the pairs of other scans ({file.parent}); give another --out",
@@ -327,19 +325,6 @@ def _nearest_ids(of_s: FloatArray, among_s: FloatArray) -> IndexArray:
     return np.where(of_s - among_s[before] <= among_s[after] - of_s, before, after)
 
 
-def _side(source: Path) -> Path:
-    """The recording or folder of scans that the user means: the only folder with scans, also one level down."""
-    if scan_ref(source).format.holds_frames or not source.is_dir():
-        return source
-    folders = folders_of_scans(source)
-    if len(folders) > 1:
-        names = ", ".join(path.name for path in folders)
-        raise DatasetError(
-            f"{source}: {len(folders)} folders hold scans ({names}); name one of them",
-        )
-    return folders[0] if folders else source
-
-
 def read_numbers(path: Path, widths: tuple[int, ...]) -> FloatArray:
     """(n, width) float64, the lines of a file; those that begin with # are left out."""
     expected = f"expected lines of {' or '.join(map(str, widths))} numbers"
@@ -362,16 +347,16 @@ def write_dataset(
     real: Timeline,
     sim: Timeline,
     pairing: Pairing,
-    kept: IndexArray,
+    kept: slice | IndexArray = slice(None),
     *,
     replace: bool = False,
-) -> int:
-    """Write `pairs.csv`; return the number of frames without a partner.
+) -> str:
+    """Write `pairs.csv`; return one line on how frames were paired.
 
     Parameters
     ----------
     out : folder of the dataset
-    kept : positions in the pairing of those that become pairs
+    kept : positions in the pairing of those that become pairs; by default all
 
     Raises
     ------
@@ -381,36 +366,43 @@ def write_dataset(
     manifest = out / MANIFEST
     if manifest.exists() and not replace:
         raise DatasetError(f"{manifest}: already exists; use --replace to overwrite it")
-    if not len(kept):
+    real_ids = pairing.real_ids[kept]
+    if not len(real_ids):
         raise DatasetError(
             f"{real.source} and {sim.source}: no two frames at one time; real are {_span(real)}, "
             f"simulated {_span(sim)} s (offset {pairing.offset_s:+.3f}); give another --offset or "
             "--tolerance"
         )
-    rows = []
-    for number, i in enumerate(kept.tolist()):
-        real_id = pairing.real_ids[i]
-        real_frame = real.frames[real_id]
-        pair_id = real_frame.stem if pairing.by_name else f"{number:06}"
+    rows: list[tuple[str, ...]] = []
+    for real_id, sim_id in zip(real_ids.tolist(), pairing.sim_ids[kept].tolist(), strict=True):
+        frame = real.frames[real_id]
+        pair_id = frame.stem if pairing.by_name else f"{len(rows):06}"
         time_s = real.times_s[real_id]
-        names = _name(real_frame, out), _name(sim.frames[pairing.sim_ids[i]], out)
+        names = _name(frame, out), _name(sim.frames[sim_id], out)
         rows.append((pair_id, *names, "" if np.isnan(time_s) else f"{time_s:.6f}"))
     if _listed(manifest) != [row[:3] for row in rows]:
         content = csv_bytes(("pair_id", *SIDES, "timestamp_s"), rows)
-        write_whole(manifest, content, advice="")
-    return len(real.frames) + len(sim.frames) - 2 * len(pairing.real_ids)
+        write_whole(manifest, content)
+    text = "1 pair" if len(rows) == 1 else f"{len(rows)} pairs"
+    if pairing.by_name:
+        text += f" by name: {manifest}"
+    else:
+        gap_s = np.abs(pairing.gaps_s[kept]).max()
+        text += f" by time, at most {gap_s:.4f} s apart: {manifest}; clock offset {pairing.offset_s:+.4f} s"
+    if pairing.others_s:
+        text += (
+            f", {len(pairing.others_s)} others such as {pairing.others_s[0]:+.4f} s pair as many: if it "
+            "is not the right one, set it with fidpipe pair --offset"
+        )
+    n_unpaired = len(real.frames) + len(sim.frames) - 2 * len(pairing.real_ids)
+    return f"{text}; frames without a partner: {n_unpaired}" if n_unpaired else text
 
 
 def _listed(manifest: Path) -> list[tuple[str, ...]]:
     """Name of each pair of a manifest, and those of its scans; [] if it does not exist."""
     if not manifest.exists():
         return []
-    try:
-        with manifest.open(encoding="utf-8", errors="replace", newline="") as file:
-            lines = (line.replace("\0", "?") for line in file)  # no path has a null byte
-            rows = list(csv.DictReader(lines, restval=""))
-    except (OSError, csv.Error) as error:
-        raise DatasetError(f"{manifest}: not a CSV table ({error})") from error
+    _, rows = read_rows(manifest)
     return [(row.get("pair_id", ""), row.get("real", ""), row.get("sim", "")) for row in rows]
 
 

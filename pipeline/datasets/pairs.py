@@ -137,16 +137,12 @@ def read_label_names(folder: Path) -> dict[int, str]:
 
 
 def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
-    if not _has_sides(folder):
+    if not all((folder / side).is_dir() for side in SIDES):
         names = sorted(path.name for path in folder.iterdir())
         content = ", ".join(names[:_MOST_NAMES]) if names else "nothing"
-        near = [folder.absolute().parent, *folder.glob("*"), *folder.glob("*/*")]
-        datasets = list(filter(_has_sides, near))
-        advice = "two folders of scans, or two recordings, may have any name: fidpipe run REAL SIM"
-        if datasets:
-            advice = f"did you mean {datasets[0]}?"
         raise DatasetError(
-            f"dataset {folder}: expected folders real/ and sim/ or a {MANIFEST}, got {content}; {advice}"
+            f"dataset {folder}: expected folders real/ and sim/ or a {MANIFEST}, got {content}; two "
+            "folders of scans, or two recordings, may have any name: fidpipe run REAL SIM"
         )
     scans = {side: _scans_by_stem(folder / side, warnings) for side in SIDES}
     pairs = []
@@ -158,10 +154,6 @@ def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
                 fault = f"{scan}: {NO_PARTNER}; expected a scan named {stem} in {folder / other}"
         pairs.append(ScanPair(stem, scans["real"].get(stem), scans["sim"].get(stem), fault=fault))
     return pairs
-
-
-def _has_sides(folder: Path) -> bool:
-    return all((folder / side).is_dir() for side in SIDES)
 
 
 def may_crash(pairs: Iterable[ScanPair]) -> bool:
@@ -235,13 +227,7 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
     DatasetError
         The file is not a CSV table, lacks a column, repeats a pair, or a value is not a number.
     """
-    try:
-        with manifest.open(newline="", encoding="utf-8-sig") as file:
-            table = csv.DictReader(file, restval="", skipinitialspace=True, strict=True)
-            lines: list[dict[Any, Any]] = list(table)
-    except (OSError, ValueError, csv.Error) as error:
-        raise DatasetError(f"{manifest}: not a CSV table ({str(error).strip()})") from error
-    columns = list(table.fieldnames or ())
+    columns, lines = read_rows(manifest)
     _check_columns(manifest, columns, warnings, needs_sim=needs_sim)
     rows = []
     for line, values in enumerate(lines, start=2):
@@ -257,6 +243,22 @@ def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True
             raise DatasetError(f"{where}: pair_id {pair.pair_id} occurs twice; expected it once")
         pairs[pair.pair_id] = pair
     return list(pairs.values())
+
+
+def read_rows(manifest: Path) -> tuple[list[str], list[dict[Any, Any]]]:
+    """Columns and rows of a manifest, as text.
+
+    Raises
+    ------
+    DatasetError
+        The file is not a CSV table.
+    """
+    try:
+        with manifest.open(newline="", encoding="utf-8-sig") as file:
+            table = csv.DictReader(file, restval="", skipinitialspace=True, strict=True)
+            return list(table.fieldnames or ()), list(table)
+    except (OSError, ValueError, csv.Error) as error:
+        raise DatasetError(f"{manifest}: not a CSV table ({str(error).strip()})") from error
 
 
 def _check_columns(
@@ -300,10 +302,10 @@ def _pair_of_row(
         row["pair_id"],
         scans.get("real"),
         scans.get("sim"),
-        timestamp_s=_number(where, "timestamp_s", row["timestamp_s"]),
-        T_real_sim=_transform(where, "T_real_sim", row["T_real_sim"]),
+        timestamp_s=_number(f"{where}: timestamp_s", row["timestamp_s"]),
+        T_real_sim=_transform(f"{where}: T_real_sim", row["T_real_sim"]),
         fault=fault,
-        T_world_sensor=_transform(where, "T_world_sensor", row["T_world_sensor"]),
+        T_world_sensor=_transform(f"{where}: T_world_sensor", row["T_world_sensor"]),
     )
 
 
@@ -358,7 +360,7 @@ def _named_scan(folder: Path, name: str, side: str, stubs: Mapping[str, Path | s
     raise ScanError(f"{path} is not a file; expected the {side} scan")
 
 
-def _number(where: str, name: str, text: str) -> float | None:
+def _number(where: str, text: str) -> float | None:
     if not text:
         return None
     try:
@@ -366,23 +368,23 @@ def _number(where: str, name: str, text: str) -> float | None:
     except ValueError:
         value = np.nan
     if not np.isfinite(value):
-        raise DatasetError(f"{where}: {name}: expected a number, got {text!r}")
+        raise DatasetError(f"{where}: expected a number, got {text!r}")
     return value
 
 
-def _transform(where: str, name: str, text: str) -> tuple[float, ...] | None:
+def _transform(where: str, text: str) -> tuple[float, ...] | None:
     if not text:
         return None
-    numbers = np.array([_number(where, name, word) for word in text.split()], dtype=np.float64)
-    return tuple(check_rigid(where, name, numbers).ravel().tolist())
+    numbers = np.array([_number(where, word) for word in text.split()], dtype=np.float64)
+    return tuple(check_rigid(where, numbers).ravel().tolist())
 
 
-def check_rigid(where: str, name: str, numbers: FloatArray) -> FloatArray:
+def check_rigid(where: str, numbers: FloatArray) -> FloatArray:
     """The rigid motion of 12 numbers, (3, 4) float64, [R | t].
 
     Parameters
     ----------
-    where, name : of the motion, for errors
+    where : place and name of the numbers, for errors
 
     Raises
     ------
@@ -391,7 +393,7 @@ def check_rigid(where: str, name: str, numbers: FloatArray) -> FloatArray:
     """
     if len(numbers) != 12:
         raise DatasetError(
-            f"{where}: {name}: expected 12 numbers ([R | t] row by row), got {len(numbers)}",
+            f"{where}: expected 12 numbers ([R | t] row by row), got {len(numbers)}",
         )
     motion = numbers.reshape(3, 4)
     rotation = motion[:, :3]
@@ -399,17 +401,17 @@ def check_rigid(where: str, name: str, numbers: FloatArray) -> FloatArray:
         off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if not (off <= _ROTATION_TOLERANCE and np.isfinite(motion).all()):
         raise DatasetError(
-            f"{where}: {name} is not a rigid motion (R R^T is off the identity by {off:.2g}, at "
+            f"{where} is not a rigid motion (R R^T is off the identity by {off:.2g}, at "
             f"most {_ROTATION_TOLERANCE:g} is taken for rounding)"
         )
     shift_m = float(np.abs(motion[:, 3]).max())
     if shift_m > FARTHEST_M:
         raise DatasetError(
-            f"{where}: {name}: expected a translation of at most {FARTHEST_M:g} m, got {shift_m:g} m",
+            f"{where}: expected a translation of at most {FARTHEST_M:g} m, got {shift_m:g} m",
         )
     if np.linalg.det(rotation) < 0:
         hint = "expected det R = 1"
-        if name == "T_real_sim":
+        if where.endswith("T_real_sim"):
             hint = 'set input.sim_frame = "carla" for a left-handed simulator'
-        raise DatasetError(f"{where}: {name} is a mirror image; {hint}")
+        raise DatasetError(f"{where} is a mirror image; {hint}")
     return motion

@@ -6,18 +6,19 @@ from pathlib import Path
 
 from ...schemas.errors import RunError
 from ...schemas.results import Diagnosis
-from ...schemas.settings import Settings, parse
+from ...schemas.settings import parse
 from ..datasets.pairs import ScanPair
-from ..engine.engine import Machines, schedule_of, started_pool
+from ..engine.engine import Machines, started_schedule
 from ..engine.plan import OUT_OF_DATE, PairPlan, plan_jobs, plan_on_results
 from ..engine.progress import Reporter
 from ..engine.schedule import Collector
-from ..engine.survey import PlanPair, Survey, remove_stale
+from ..engine.survey import PlanPair, remove_stale
 from ..jobs import stages_under
 from ..jobs.gains_job import gains_stage
-from ..results.diagnosis import causes_to_correct, diagnosis_of
+from ..results.diagnosis import diagnosis_of
 from ..results.finished import FinishedRun
 from ..stage import Stage
+from ..storage.table_files import JobName
 from .latency import latency_note
 
 
@@ -36,13 +37,8 @@ def diagnose_run(folder: Path, reporter: Reporter, machines: Machines | None = N
     overview = run.record.overview
     if overview is None:
         raise RunError(f"run {folder}: no pair is scored; fidpipe status {folder} says why")
-    groups = {
-        name: values
-        for name, values in run.record.settings.items()
-        if name in Settings.model_fields
-    }
-    settings = parse(groups)
-    stage = gains_stage({cause.name: cause.estimate for cause in causes_to_correct(overview)})
+    settings = parse(run.record.settings)
+    stage = gains_stage({cause.name: cause.estimate for cause in overview.causes})
     jobs = plan_jobs((*stages_under(settings), stage), settings)
 
     def plan_pair(pair: ScanPair) -> PairPlan:
@@ -50,12 +46,13 @@ def diagnose_run(folder: Path, reporter: Reporter, machines: Machines | None = N
         return plan_on_results(jobs, pair, run.store.finished_jobs(pair.pair_id), stage)
 
     with run.store.locked():
-        survey = _survey(run, plan_pair, stage)
+        todo, stale = _survey(run, plan_pair, stage)
         collector = Collector(run.store, reporter)
-        with started_pool(survey.todo, run.store, (stage,), settings, machines) as pool:
-            remove_stale(survey, run.store, reporter, ["the causes changed"])
-            if survey.todo:
-                schedule_of(survey, plan_pair, pool, collector, machines).run()
+        with started_schedule(
+            todo, len(todo), plan_pair, collector, (stage,), settings, machines
+        ) as schedule:
+            remove_stale(stale, run.store, reporter, ["the causes changed"])
+            schedule.run()
     if collector.failures:
         reasons = [f"pair {name}: {reason}" for name, reason in collector.failures.items()]
         raise RunError(f"run {folder}: {'; '.join(reasons)}")
@@ -66,18 +63,19 @@ def diagnose_run(folder: Path, reporter: Reporter, machines: Machines | None = N
     return diagnosis.model_copy(update={"notes": (note,)}) if note else diagnosis
 
 
-def _survey(run: FinishedRun, plan_pair: PlanPair, stage: Stage) -> Survey:
-    """The pairs whose gains are missing, and gains of other amounts."""
-    survey = Survey()
+def _survey(
+    run: FinishedRun, plan_pair: PlanPair, stage: Stage
+) -> tuple[list[ScanPair], dict[JobName, str]]:
+    """The pairs whose gains are missing, and gains of other amounts with the reason why they are stale."""
+    todo = []
+    stale = {}
     for row in run.scored:
         pair = ScanPair(row["pair_id"], None, None)
-        survey.usable.append(pair)
         key = plan_pair(pair).keys[stage.name, ""]
         record = run.store.ledger.jobs(pair.pair_id).get((stage.name, ""))
         if record is not None and record.key == key and not run.store.damaged_files(record):
             continue
-        survey.todo.append(pair)
-        survey.n_jobs += 1
+        todo.append(pair)
         if record is not None:
-            survey.stale[record.name] = OUT_OF_DATE
-    return survey
+            stale[record.name] = OUT_OF_DATE
+    return todo, stale

@@ -1,25 +1,14 @@
-"""View of a diagnosis: causes with their gains, and what remains unexplained."""
+"""Views of `fidpipe diagnose`: causes with their gains, what remains unexplained, and a tell-apart test."""
 
 from __future__ import annotations
 
-from operator import attrgetter
+from typing import Any
 
 from ...schemas.results import Diagnosis
-from ..report.view import Answers, Note, Table, View, count, items_of
+from ..report.view import Answers, Note, Table, View, columns_of, count, items_of, number
 from ..report.views.answer_view import cause_items
 from ..results.causes import no_cause_words
 from ..results.diagnosis import doubtful_words, unexplained_words
-
-_COLUMNS = (
-    *("name", "words", "estimate", "low", "high", "unit"),
-    *("n_pairs", "gain_m", "gain", "setting"),
-)
-
-
-def diagnosis_records(diagnosis: Diagnosis) -> Table:
-    """One row per cause, for programs."""
-    values_of = attrgetter(*_COLUMNS)
-    return Table("", _COLUMNS, [values_of(cause) for cause in diagnosis.causes])
 
 
 def diagnosis_view(diagnosis: Diagnosis) -> View:
@@ -37,3 +26,32 @@ def diagnosis_view(diagnosis: Diagnosis) -> View:
     if doubtful := doubtful_words(diagnosis):
         sections.append(("Doubtful", [(doubtful, "", "")]))
     return [Note(title, "bold"), Answers(sections)]
+
+
+def tell_apart_view(title: str, values: dict[str, Any]) -> View:
+    """The AUC next to that of real against real, and the AUC by each feature."""
+    base = values["real_against_real"]
+    tests = [("real against simulated", values)]
+    tests += [(f"  by {family['name']} alone", family) for family in values["families"]]
+    tests.append((f"real against real ({base['of']})", base))
+    rows = [
+        (name, test["auc"], f"{number(test['low'])} to {number(test['high'])}")
+        for name, test in tests
+    ]
+    same = "not " if values["low"] <= base["high"] else ""
+    return [
+        Table(
+            f"{title}: {values['n_points']:,} points per side, cross-validated over "
+            f"{values['n_folds']} {values['folds']}",
+            ("points", "AUC", "95 % interval"),
+            rows,
+            words=(0, 2),
+        ),
+        Table(
+            "Recognised by",
+            ("family", "feature", "AUC of it alone"),
+            columns_of(values["features"], ("family", "name", "auc")),
+            words=(0, 1),
+        ),
+        Note(f"{same}easier to distinguish than real points from real points", "bold"),
+    ]

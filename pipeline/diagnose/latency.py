@@ -11,20 +11,19 @@ from scipy.spatial import cKDTree
 
 from ...schemas.cause_catalogue import PARAMETERS
 from ...schemas.results import Cause
-from ...stages.arrays import BoolArray, FloatArray
+from ...stages.arrays import FloatArray
 from ...stages.causes.distance import surface_distance
 from ...stages.displacement import fit_displacement
-from ..jobs.points_job import column, coordinates
+from ...stages.pieces import CutScan
+from ..jobs.points_job import cut_scan
 from ..results.causes import read_causes
 from ..results.finished import FinishedRun
 
 AHEAD = "forward"
-#: Points, (n, 3) metres, and which are ground.
-RealScan = tuple[FloatArray, BoolArray]
 #: Most pairs whose speed is fitted, evenly over the run.
 _MOST_PAIRS = 20
 _LONGEST_S, _FASTEST_M_S, _STEP_M = 0.5, 40.0, 1.5
-_LEAST_M_S, _AT_REST_M = 1.0, 0.02
+_LEAST_M_S = 1.0
 
 
 def latency_note(run: FinishedRun, causes: Sequence[Cause]) -> str:
@@ -39,14 +38,13 @@ def latency_note(run: FinishedRun, causes: Sequence[Cause]) -> str:
     for name in names:
         later, duration_s = following[name]
         speeds_m_s.append(speed_m_s(_real_scan(run, name), _real_scan(run, later), duration_s))
-    words = latency_words(read_causes(run.store, names)[AHEAD].amount, np.array(speeds_m_s))
+    ahead_m = read_causes(run.store, names)[AHEAD]["amount"]
+    words = latency_words(ahead_m.to_numpy(), np.array(speeds_m_s))
     return f"{AHEAD}: {words}" if words else ""
 
 
-def _real_scan(run: FinishedRun, pair_id: str) -> RealScan:
-    """Clean points of the real side of a pair, and which are ground."""
-    ground = run.store.read_table("ground", pair_id, "real", ["x", "y", "z", "is_ground"])
-    return coordinates(ground), column(ground, "is_ground")
+def _real_scan(run: FinishedRun, pair_id: str) -> CutScan:
+    return cut_scan(run.store.read_table("ground", pair_id, "real"))
 
 
 def follow(times_s: Mapping[str, float], names: Sequence[str]) -> dict[str, tuple[str, float]]:
@@ -59,20 +57,18 @@ def follow(times_s: Mapping[str, float], names: Sequence[str]) -> dict[str, tupl
     }
 
 
-def speed_m_s(scan: RealScan, later: RealScan, duration_s: float) -> float:
+def speed_m_s(scan: CutScan, later: CutScan, duration_s: float) -> float:
     """Speed of the real sensor ahead, from its motion until a later scan; NaN if this is not found.
 
     The motion is fitted from several starting points, as the fit reaches 1.5 m; that of the least distance counts.
     """
-    points, is_ground = scan
-    tree = cKDTree(points)
-    later_points, later_is_ground = later
+    tree = cKDTree(scan.points)
     fits = []
     for start_m in np.arange(0.0, _FASTEST_M_S * duration_s, _STEP_M):
-        ahead = later_points + np.array([start_m, 0.0, 0.0])
-        moved = fit_displacement(tree, cKDTree(ahead), is_ground)
+        ahead = later.points + np.array([start_m, 0.0, 0.0])
+        moved = fit_displacement(tree, cKDTree(ahead), scan.is_ground)
         if moved is not None:
-            apart_m = surface_distance(tree, cKDTree(moved.undo(ahead, later_is_ground)))
+            apart_m = surface_distance(tree, cKDTree(moved.undo(ahead, later.is_ground)))
             fits.append((apart_m, start_m - float(moved.values[PARAMETERS.index(AHEAD)])))
     return min(fits)[1] / duration_s if fits else np.nan
 
@@ -98,11 +94,10 @@ def latency_words(ahead_m: FloatArray, speeds_m_s: FloatArray) -> str:
     low_s = fit.slope - reach * fit.stderr
     high_s = fit.slope + reach * fit.stderr
     if low_s * high_s > 0:
-        late = f"{1e3 * fit.slope:.0f} ms of latency ({1e3 * low_s:.0f} to {1e3 * high_s:.0f})"
-        grows = f"in proportion to the speed: {late}"
-        if abs(fit.intercept) <= reach * fit.intercept_stderr + _AT_REST_M:
-            return f"{grows}; see poses and time stamps"
-        return f"partly {grows}, and {fit.intercept:+.2f} m at rest"
+        return (
+            f"grows with the speed: {1e3 * fit.slope:.0f} ms of latency ({1e3 * low_s:.0f} to "
+            f"{1e3 * high_s:.0f}), and {fit.intercept:+.2f} m at rest; see poses and time stamps"
+        )
     if not low_s <= alone_s <= high_s:
         return "the same at any speed, so no latency"
     return either

@@ -6,6 +6,7 @@ Predictions are files named after the pairs: `PAIR.label` (a class for each poin
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -27,17 +28,76 @@ from ...stages.predictions import (
 )
 from ...stages.tasks import counterparts
 from ..datasets.pairs import read_label_names
+from ..datasets.readers.scan import read_label_file
 from ..results.finished import FinishedRun
 from ..results.object_frame import plain_rows
 from ..storage.table_files import file_stem
-from .prediction_files import read_kitti_boxes, read_nuscenes_boxes, read_point_labels
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_BOX_READERS = {".txt": read_kitti_boxes, ".json": read_nuscenes_boxes}
 _XYZ = ["x", "y", "z"]
 _LOST_BELOW = 0.5  #: share of agreeing points below which an object is lost
+
+
+def read_kitti_boxes(path: Path) -> Boxes:
+    """Boxes of a label file of KITTI, without those of the type DontCare.
+
+    A line is: type, truncation, occlusion, alpha, four numbers of the image, height, width, length,
+    x, y, z of the middle of the floor (camera's axes: right, down, forward), rotation about y, and
+    perhaps a score. The camera is taken to be at the sensor, looking along x.
+    """
+    names: list[str] = []
+    rows: list[list[float]] = []
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+        words = line.split()
+        if not words or words[0] == "DontCare":
+            continue
+        try:
+            h, w, length, x, y, z, turn = map(float, words[8:15])
+        except ValueError as error:
+            raise DatasetError(
+                f"{path}, line {number}: expected a line of a KITTI label file (type and at least "
+                f"14 numbers), got {len(words)} words"
+            ) from error
+        names.append(words[0])
+        rows.append([z, -x, h / 2 - y, length, w, h, -turn - np.pi / 2])
+    return _boxes(names, rows)
+
+
+def read_nuscenes_boxes(path: Path) -> Boxes:
+    """Boxes of one sample as in the results of nuScenes: a list, or the one list in `results`.
+
+    A box has detection_name, translation (x, y, z of its centre), size (width, length, height) and
+    rotation (quaternion w, x, y, z), in the axes of the real sensor.
+    """
+    names: list[str] = []
+    rows: list[list[float]] = []
+    try:
+        boxes = json.loads(path.read_text(encoding="utf-8"))
+        if isinstance(boxes, dict):
+            (boxes,) = boxes["results"].values()
+        for box in boxes:
+            width, length, height = map(float, box["size"])
+            w, x, y, z = map(float, box["rotation"])
+            yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+            names.append(box["detection_name"])
+            rows.append([*map(float, box["translation"]), length, width, height, yaw])
+        return _boxes(names, rows)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise DatasetError(
+            f"{path}: expected boxes of one sample as in the results of nuScenes (detection_name, "
+            f"translation, size, rotation), got {type(error).__name__}: {error}"
+        ) from error
+
+
+def _boxes(names: list[str], rows: list[list[float]]) -> Boxes:
+    """Boxes of rows x, y, z, length, width, height, yaw."""
+    values = np.array(rows, dtype=np.float64).reshape(-1, 7)
+    return Boxes(np.array(names, dtype=np.str_), values[:, :3], values[:, 3:6], values[:, 6])
+
+
+_BOX_READERS = {".txt": read_kitti_boxes, ".json": read_nuscenes_boxes}
 
 
 @dataclass(frozen=True)
@@ -119,7 +179,6 @@ def _compare_labels(
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Agreement by class, and the real objects that both sides see with the class of most points."""
     import pandas as pd
-    from sklearn.metrics import confusion_matrix
 
     parts = []
     objects = []
@@ -132,25 +191,26 @@ def _compare_labels(
         parts.append(seen)
         objects.append(_labelled_objects(run, pair_id, seen))
     points = pd.concat(parts)
-    numbers = np.unique(points[["predicted", "counterpart"]])
-    names = {number: label_names.get(number, str(number)) for number in numbers.tolist()}
-    lost_objects = pd.concat(objects).replace({"predicted_real": names, "predicted_sim": names})
-    if points.empty:  # no common surface
-        return pd.DataFrame(), lost_objects
-    confusion = confusion_matrix(points["predicted"], points["counterpart"], labels=numbers)
-    classes = pd.DataFrame({"class": [*names.values()]})
-    classes["n_real"] = confusion.sum(axis=1)
-    classes["n_sim"] = confusion.sum(axis=0)
-    n_both = confusion.diagonal()
-    classes["iou"] = n_both / (classes["n_real"] + classes["n_sim"] - n_both)
-    return classes, lost_objects
+    same = points[points["agreement"]]
+    numbers = {
+        "n_real": points["predicted"],
+        "n_sim": points["counterpart"],
+        "n_same": same["predicted"],
+    }
+    counts = {name: classes.value_counts() for name, classes in numbers.items()}
+    classes = pd.DataFrame(counts).fillna(0).astype(int)
+    n_same = classes.pop("n_same")
+    classes["iou"] = n_same / (classes["n_real"] + classes["n_sim"] - n_same)
+    names = {number: label_names.get(number, str(number)) for number in classes.index}
+    objects_of_all = pd.concat(objects).replace({"predicted_real": names, "predicted_sim": names})
+    return classes.rename(index=names).reset_index(names="class"), objects_of_all
 
 
 def _labelled_points(run: FinishedRun, pair_id: str, side: str, path: Path) -> pd.DataFrame:
     """The points of a side with the predicted class of each."""
     points = run.points(pair_id, side)
-    labels = read_point_labels(path, run.row(pair_id)[f"n_{side}_raw"])
-    return points.assign(predicted=labels[points["point_id"]])
+    classes, _ = read_label_file(path, run.row(pair_id)[f"n_{side}_raw"])
+    return points.assign(predicted=classes[points["point_id"]])
 
 
 def _labelled_objects(run: FinishedRun, pair_id: str, seen: pd.DataFrame) -> pd.DataFrame:
@@ -221,14 +281,12 @@ def _real_objects(run: FinishedRun, pair_id: str) -> pd.DataFrame:
 
 def _scores_of_lost(objects: pd.DataFrame) -> tuple[Row, ...]:
     """Area under the ROC curve of each score of matched objects, for their loss."""
-    import pandas as pd
-
     rows = []
     for score in OBJECT_METRICS:
         known = objects.dropna(subset=[score])
         values = known[score].to_numpy(dtype=np.float64)
         is_lost = (known["fate"] == "lost").to_numpy()
-        scan_of, _ = pd.factorize(known["pair_id"])
+        scan_of = known["pair_id"].to_numpy()
         low, high = jackknife_interval(values, is_lost, scan_of) or (None, None)
         row = {"score": score, "auc": lost_auc(values, is_lost), "low": low, "high": high}
         n_lost = int(is_lost.sum())

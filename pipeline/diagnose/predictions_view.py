@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from ...schemas.columns import Row
 from ...schemas.metric_catalogue import metric_of
-from ..report.view import Note, Part, Table, View, columns_of, count, number, percent
+from ..report.view import Note, Part, Table, View, columns_of, count, first_of, number, percent
 from .predictions import Agreement
 
 _MOST_PAIRS = 5
@@ -26,9 +26,8 @@ def agreement_view(result: Agreement) -> View:
     title = "Does a score go with a loss? (0.5: no; 1: lost objects have the larger scores)"
     parts.append(Table(title, ("score", "AUC", "95 %, leaving out scans"), rows, words=(0, 2)))
     if result.left_out:
-        named = ", ".join(result.left_out[:_MOST_PAIRS])
-        more = ", ..." if len(result.left_out) > _MOST_PAIRS else ""
-        parts.append(Note(f"without predictions on both sides: {named}{more}", "yellow"))
+        named = ", ".join(first_of(result.left_out, _MOST_PAIRS, "..."))
+        parts.append(Note(f"without predictions on both sides: {named}", "yellow"))
     return parts
 
 
@@ -38,12 +37,6 @@ def odometry_view(rows: Sequence[Row]) -> View:
     headings = ("measure", "unit", "real", "simulated", "gap")
     cells = columns_of(rows, ("measure", "unit", "real", "sim", "gap"))
     return [Table(title, headings, cells, words=(0, 1))]
-
-
-def records(rows: Sequence[Row]) -> Table:
-    """All columns of rows, for programs."""
-    columns = tuple(rows[0]) if rows else ()
-    return Table("", columns, columns_of(rows, columns))
 
 
 def _classes_table(result: Agreement) -> Table:

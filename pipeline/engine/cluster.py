@@ -25,8 +25,8 @@ from time import monotonic
 from typing import Any
 
 from ...schemas.errors import RunError, StoreError
-from ..storage.run_record import library_versions
-from ..storage.table_files import tables_of_run
+from ..storage.run_record import LIBRARIES, library_versions
+from ..storage.table_files import TableFolder
 from . import costs, prefork
 from .pool import (
     SHARE_OF_MEMORY,
@@ -47,6 +47,7 @@ _SECONDS_BETWEEN_LOOKS = 1.0
 _GIVEN_UP_S = 5.0
 _WITHOUT_WORKERS_S = 600.0
 _LEAST_ADDRESS_SPACE = 2 * 2**30
+_CODE = "code of fidpipe"
 
 #: For a cluster on this machine. A task at which two workers die is given up; `schedule` decides
 #: what is tried again. A silent worker is busy in a library, a busy event loop is not reported,
@@ -69,16 +70,12 @@ _DASK_SETTINGS = {
 class Requirements:
     """Everything that the workers of a scheduler must share with the command.
 
-    libraries : versions
-    code : hash of fidpipe's code
-    folder, token, url : of the run, see `tables_of_run`
+    versions : see `code_versions`
+    tables : of the run
     """
 
-    libraries: dict[str, str]
-    code: str
-    folder: Path
-    token: str
-    url: str = ""
+    versions: dict[str, str]
+    tables: TableFolder
 
 
 _CHECKED: list[Requirements] = []  #: that this worker process meets
@@ -138,13 +135,13 @@ class DaskPool(Pool):
         self._required = required
         self._workers: dict[str, dict[str, Any]] = {}
         self._looked = -_SECONDS_BETWEEN_LOOKS
-        self._had_workers = self._looked_after = monotonic()
+        self._had_workers = monotonic()
         self._dead_since: dict[Any, float] = {}
         try:
             self._start(n_workers)
             if required is not None:
                 self._workers_now()
-                self._check_workers(required)
+                self._check_workers()
         except BaseException:
             self.close()
             raise
@@ -159,11 +156,7 @@ class DaskPool(Pool):
         """See `Pool`: of the current workers."""
         if self._memory is not None or self._address is None:
             return super().memory
-        limits = [
-            int(worker["memory_limit"])
-            for worker in self._workers_now().values()
-            if worker["memory_limit"]
-        ]
+        limits = [int(worker["memory_limit"]) for worker in self._workers_now().values()]
         if limits:  # while all are gone, those that come again are taken to be like them
             self._memory_there = Memory(
                 int(SHARE_OF_MEMORY * sum(limits)), int(SHARE_OF_MEMORY * min(limits))
@@ -289,10 +282,9 @@ class DaskPool(Pool):
 
     def _look_after_workers(self) -> None:
         """Restart local workers that died while they started, which dask gives up."""
-        now = monotonic()
-        if self._cluster is None or now - self._looked_after < _SECONDS_BETWEEN_LOOKS:
+        if self._cluster is None:
             return
-        self._looked_after = now
+        now = monotonic()
         for name, nanny in list(self._cluster.workers.items()):
             if nanny.is_alive():
                 self._dead_since.pop(name, None)
@@ -330,12 +322,12 @@ class DaskPool(Pool):
     def _lost(self, fault: str) -> str:
         return f"scheduler {self._address or 'here'}: {fault}; run the same command again: it resumes where it stopped"
 
-    def _check_workers(self, required: Requirements) -> None:
+    def _check_workers(self) -> None:
         """Raise `RunError` if a run could not be completed on a worker."""
-        faults = self._client.run(worker_fault, required, on_error="return")
-        for worker, fault in faults.items():
-            if fault and not isinstance(fault, OSError):  # it has just ended
-                raise RunError(f"scheduler {self._address}, worker {worker}: {fault}")
+        checks = self._client.run(_in_worker, self._required, str, on_error="return")
+        for fault in checks.values():
+            if isinstance(fault, RunError):  # not one that has just ended
+                raise fault
 
 
 def start_pool(
@@ -409,25 +401,27 @@ def _check_address_space() -> None:
 def worker_fault(required: Requirements) -> str:
     """Reason why a worker cannot serve a run: other versions, code or files; "" if it can."""
     others = []
-    for name, version in library_versions(required.libraries).items():
-        if version != required.libraries[name]:
-            others.append(f"{name} {version} (here {required.libraries[name]})")
-    if not others and code_hash() != required.code:
-        others.append(
-            f"fidpipe of the same version with other code ({code_hash()}, here {required.code})"
-        )
+    for name, version in code_versions(required.versions).items():
+        if version != required.versions.get(name, version):
+            others.append(f"{name} {version} (here {required.versions[name]})")
     if others:
         return f"other versions: {', '.join(others)}; install the same ones there"
     try:
-        tables_of_run(required.folder, required.token, required.url).check_token()
+        required.tables.check_token()
     except StoreError as error:
         return f"there, {error}; each worker needs credentials in its environment"
     except (OSError, RunError):
         return (
-            f"{required.folder} there is not the folder of this run; workers must see the same files under the same "
-            "paths, or give the dataset and --out by URL"
+            f"{required.tables.folder} there is not the folder of this run; workers must see the same "
+            "files under the same paths, or give the dataset and --out by URL"
         )
     return ""
+
+
+def code_versions(libraries: Iterable[str]) -> dict[str, str]:
+    """Versions of fidpipe and of its libraries, of other libraries, and a hash of fidpipe's code."""
+    names = ("fidpipe", *LIBRARIES, *libraries)
+    return library_versions(names) | {_CODE: code_hash()}
 
 
 @cache

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import chain
 
 from ...schemas.errors import FidpipeError
 from ...schemas.settings import InputSettings, Settings
@@ -15,14 +16,11 @@ from ..datasets.content import ScanContent
 from ..datasets.pairs import ScanPair, may_crash
 from ..datasets.readers import read_scan
 from ..stage import Stage
-from ..storage.folder import RunFolder
-from ..storage.run_record import LIBRARIES, library_versions
-from ..storage.urls import stub_texts, url_of_cache
 from . import costs
 from .plan import PairPlan, with_results
 from .pool import Pool
 from .schedule import Collector, Schedule
-from .survey import PlanPair, Survey
+from .survey import PlanPair
 from .time_limit import NOTES, TimeLimit
 
 _LARGE_PAIR = 500_000  # points of both files
@@ -44,85 +42,61 @@ class Machines:
 
 
 @contextmanager
-def started_pool(
-    pairs: Sequence[ScanPair],
-    folder: RunFolder,
+def started_schedule(
+    todo: Sequence[ScanPair],
+    n_jobs: int,
+    plan_pair: PlanPair,
+    collector: Collector,
     stages: Sequence[Stage],
     settings: Settings,
     machines: Machines,
-) -> Iterator[Pool]:
-    """Context with a pool for the jobs of some pairs, which ends with it, even if tasks are running.
+) -> Iterator[Schedule]:
+    """Context with the schedule of jobs, whose workers end with it, even if tasks are running.
 
-    Without pairs it is this process; a reader that may end its process never runs in the command's
-    own.
-
-    Parameters
-    ----------
-    stages : all stages whose jobs may be planned
-    """
-    if not pairs:
-        yield Pool()
-        return
-    if machines.scheduler and url_of_cache(folder.folder):
-        from ..storage.remote_run import share_folder
-
-        share_folder(folder)
-    from .cluster import Requirements, code_hash, start_pool
-
-    is_local = machines.scheduler is None
-    reader_may_crash = is_local and may_crash(pairs)
-    required = None
-    if not is_local:
-        libraries = ["fidpipe", *LIBRARIES]
-        for stage in stages:
-            libraries += stage.libraries
-        versions = library_versions(libraries)
-        required = Requirements(
-            versions, code_hash(), folder.folder.resolve(), folder.token, folder.url
-        )
-    pool = start_pool(
-        machines.workers,
-        settings.machine.memory_gib,
-        {stage.make.__module__ for stage in stages},
-        may_end_workers=machines.pair_timeout_s is not None or reader_may_crash,
-        address=machines.scheduler,
-        required=required,
-    )
-    try:
-        yield pool
-    finally:
-        pool.close()
-
-
-def schedule_of(
-    survey: Survey, plan_pair: PlanPair, pool: Pool, collector: Collector, machines: Machines
-) -> Schedule:
-    """The schedule of all jobs to do.
+    Without pairs there are no workers; a reader that may end its process never runs in the
+    command's own.
 
     Parameters
     ----------
-    survey : of the run
+    todo : pairs that have jobs to do
+    n_jobs : number of these jobs
     plan_pair : returns the plan of a pair
     collector : receives the results
+    stages : all stages whose jobs may be planned
     """
-    plans = _plans_for_workers(survey.todo, plan_pair, collector.folder, machines)
-    return Schedule(pool, plans, survey, collector)
+    tables = collector.folder.for_workers(share_disk=machines.scheduler is None)
+    pool = Pool()
+    if todo:
+        from .cluster import Requirements, code_versions, start_pool
 
+        required = None
+        if machines.scheduler:
+            libraries = chain.from_iterable(stage.libraries for stage in stages)
+            required = Requirements(code_versions(libraries), tables)
+            tables.put_token()
+        is_risky = required is None and may_crash(todo)
+        pool = start_pool(
+            machines.workers,
+            settings.machine.memory_gib,
+            {stage.make.__module__ for stage in stages},
+            may_end_workers=machines.pair_timeout_s is not None or is_risky,
+            address=machines.scheduler,
+            required=required,
+        )
 
-def _plans_for_workers(
-    pairs: Iterable[ScanPair], plan_pair: PlanPair, folder: RunFolder, machines: Machines
-) -> Iterator[PairPlan]:
-    """The plans of pairs with their time limit, and all that workers need that may not see the files here."""
-    for i, pair in enumerate(pairs):
-        plan, _ = with_results(plan_pair(pair), folder)
-        if machines.pair_timeout_s is not None:
-            notes = folder.folder / NOTES / str(i)
-            plan = replace(plan, limit=TimeLimit(machines.pair_timeout_s, notes))
-        if machines.scheduler is not None:
-            scans = pair.scans.values()
-            files = [*(scan.file for scan in scans), *(scan.labels for scan in scans)]
-            plan = replace(plan, url=folder.url, stubs=stub_texts(files))
-        yield plan
+    def plans() -> Iterator[PairPlan]:
+        for i, pair in enumerate(todo):
+            limit = None
+            if machines.pair_timeout_s is not None:
+                notes = collector.folder.folder / NOTES / str(i)
+                limit = TimeLimit(machines.pair_timeout_s, notes)
+            plan, _ = with_results(plan_pair(pair), collector.folder)
+            yield replace(plan, tables=tables, limit=limit)
+
+    try:
+        yield Schedule(pool, plans(), len(todo), n_jobs, collector)
+    finally:
+        pool.close()
 
 
 def large_pairs_warnings(

@@ -6,7 +6,6 @@ import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import NamedTuple
 
 from ...schemas.columns import SIDES
@@ -18,7 +17,7 @@ from ..stage import N_CLEAN, OBJECTS, SCAN, Stage
 from ..storage.files import key_of
 from ..storage.folder import RunFolder
 from ..storage.run_record import library_versions
-from ..storage.table_files import JobId, JobName, JobRecord
+from ..storage.table_files import JobId, JobName, JobRecord, TableFolder
 from . import costs
 from .time_limit import TimeLimit
 
@@ -26,14 +25,13 @@ OUT_OF_DATE = "out of date"  #: reason why a result made from or with something 
 
 
 class Source(NamedTuple):
-    """A table that a job takes: its declared columns, none for the metadata alone, and the job that writes it.
+    """A table that a job takes, and the job that writes it.
 
     maker : None for an input file
     """
 
     table: str
     side: str
-    columns: tuple[str, ...]
     maker: JobId | None
 
 
@@ -68,16 +66,24 @@ class Job:
 
 
 @dataclass(frozen=True)
+class JobFailure:
+    """Reason why a job failed; with the traceback if it is a bug."""
+
+    job: JobId
+    reason: str
+    trace: str = ""
+
+
+@dataclass(frozen=True)
 class PairPlan:
-    """The jobs of a pair: all that a worker needs to know, paths and keys, no points.
+    """The jobs of a pair, and what came of them: all that a worker needs to know, paths and keys, no points.
 
     jobs : by name, in their order
     keys : of each job's result, by name; of each input file by `SCAN` and side
-    records : of the jobs that are done
+    records : of the jobs that are done, by name
+    failures : of others
     inputs : by side, what its file holds
-    folder, token : of the run
-    url : of its tables, for workers that do not share the folder
-    stubs : remote scans, for workers that do not share the cache
+    tables : of the run; None for results that are not written
     limit : how long workers may work on it; None for as long as it takes
     """
 
@@ -85,12 +91,10 @@ class PairPlan:
     jobs: Mapping[JobId, Job]
     keys: Mapping[JobId, str]
     records: Mapping[JobId, JobRecord] = field(default_factory=dict)
+    failures: tuple[JobFailure, ...] = ()
     inputs: Mapping[str, ScanContent] = field(default_factory=dict)
     label_names: Mapping[int, str] = field(default_factory=dict)
-    folder: Path = Path()
-    token: str = ""
-    url: str = ""
-    stubs: Mapping[Path, str] = field(default_factory=dict)
+    tables: TableFolder | None = None
     limit: TimeLimit | None = None
 
     @property
@@ -109,18 +113,30 @@ class PairPlan:
 
     @property
     def todo(self) -> list[Job]:
-        """The jobs that are not done."""
-        return [job for name, job in self.jobs.items() if name not in self.records]
+        """The jobs that can still be done; none after the failure of one that every run has."""
+        failed = {failure.job for failure in self.failures}
+        if not all(self.jobs[name].stage.is_extra for name in failed):
+            return []
+        left = []
+        for name, job in self.jobs.items():
+            if name in failed or failed.intersection(job.needs):
+                failed.add(name)
+            elif name not in self.records:
+                left.append(job)
+        return left
+
+    @property
+    def ready(self) -> list[Job]:
+        """Those of them whose needs are done."""
+        return [job for job in self.todo if self.records.keys() >= job.needs]
 
     @property
     def objects(self) -> list[tuple[int, int]] | None:
         """Id and nodes of each matched object, where a finished job lists them."""
-        lists = [
-            record.metadata[OBJECTS]
-            for record in self.records.values()
-            if OBJECTS in record.metadata
-        ]
-        return [(number, n_keep) for number, n_keep in lists[-1]] if lists else None
+        for record in self.records.values():
+            if OBJECTS in record.metadata:
+                return record.metadata[OBJECTS]
+        return None
 
     @property
     def largest_object(self) -> tuple[int, int]:
@@ -134,9 +150,12 @@ class PairPlan:
             n_bytes += costs.object_bytes(self.largest_object[1])
         return n_bytes
 
-    def with_records(self, records: Iterable[JobRecord]) -> PairPlan:
-        """The same plan, knowing that these jobs are done."""
-        return replace(self, records={**self.records, **{record.job: record for record in records}})
+    def after(
+        self, records: Iterable[JobRecord] = (), failures: Iterable[JobFailure] = ()
+    ) -> PairPlan:
+        """The same plan, knowing that some more jobs are done or have failed."""
+        done = {**self.records, **{record.job: record for record in records}}
+        return replace(self, records=done, failures=(*self.failures, *failures))
 
 
 def plan_jobs(stages: Iterable[Stage], settings: Settings) -> dict[JobId, Job]:
@@ -190,7 +209,7 @@ def plan_pair(
     keys = {(SCAN, side): inputs[side].key(label_names, pair.motion(side)) for side in SIDES}
     for name, job in jobs.items():
         keys[name] = _key(job, keys)
-    return PairPlan(pair, jobs, keys, {}, inputs, label_names)
+    return PairPlan(pair, jobs, keys, inputs=inputs, label_names=label_names)
 
 
 def plan_on_results(
@@ -204,11 +223,10 @@ def plan_on_results(
     stage : of grain PAIR
     """
     name = (stage.name, "")
-    used = {job: jobs[job] for job in jobs if job in records or job == name}
-    keys = {job: record.key for job, record in records.items()}
+    done = {job: record for job, record in records.items() if job in jobs and job != name}
+    keys = {job: record.key for job, record in done.items()}
     keys[name] = _key(jobs[name], keys)
-    others = {job: record for job, record in records.items() if job in used and job != name}
-    return PairPlan(pair, used, keys, others)
+    return PairPlan(pair, {job: jobs[job] for job in keys}, keys, done)
 
 
 def _method_key(stage: Stage, settings: Settings) -> str:
@@ -220,9 +238,6 @@ def _method_key(stage: Stage, settings: Settings) -> str:
     groups = {}
     for group in stage.settings:
         groups[group] = getattr(settings, group).model_dump(mode="json")
-    for table, columns in (*stage.takes.items(), *stage.takes_real(settings).items()):
-        for column in columns:
-            TABLES[table].schema.field(column)
     given = {}
     for table in stage.gives:
         given[table] = [f"{field.name} {field.type}" for field in TABLES[table].schema]
@@ -243,18 +258,12 @@ def _sources(
     makers : by table and side, the job that makes it; None for an input file
     """
     sides = ("", part) if part else ("", *SIDES)
-    declared = {}
-    for table, columns in stage.takes.items():
-        for side in sides:
-            declared[table, side] = columns
+    declared = []
+    for table in stage.takes:
+        declared += [(table, side) for side in sides]
     if part == "sim":
-        for table, columns in stage.takes_real(settings).items():
-            declared[table, "real"] = columns
-    sources = []
-    for (table, side), columns in declared.items():
-        if (table, side) in makers:
-            sources.append(Source(table, side, columns, makers[table, side]))
-    return tuple(sources)
+        declared += [(table, "real") for table in stage.takes_real(settings)]
+    return tuple(Source(*name, makers[name]) for name in declared if name in makers)
 
 
 def with_results(
@@ -290,7 +299,7 @@ def with_results(
     for record in records.values():
         if not set(plan.keys.values()).issuperset(record.reads):
             unwanted[record.name] = OUT_OF_DATE
-    return replace(plan, folder=folder.folder, token=folder.token).with_records(whole), unwanted
+    return plan.after(whole), unwanted
 
 
 def _key(job: Job, keys: Mapping[JobId, str]) -> str:

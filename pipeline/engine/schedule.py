@@ -13,18 +13,18 @@ from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from shutil import rmtree
+from typing import Any
 
 from ...schemas.columns import SIDES
 from ..stage import Grain
 from ..storage.folder import RunFolder
 from ..storage.table_files import JobRecord
 from . import costs
-from .plan import Job, PairPlan
+from .plan import Job, JobFailure, PairPlan
 from .pool import Handle, Pool, WorkerDied
 from .progress import Reporter
-from .survey import Survey
 from .time_limit import NOTES
-from .worker import BatchResult, JobFailure, ObjectRows, PairBatch, job_title, run_batch
+from .worker import BatchResult, ObjectRows, PairBatch, job_title, run_batch
 
 # How work is cut into batches; no result depends on it.
 PAIRS_PER_WORKER = (
@@ -35,7 +35,7 @@ BATCH_S = 0.5  #: seconds of objects per batch
 BUNDLE_S = 0.5  #: seconds of small pairs per batch
 LONG_PAIR = 200_000  #: points of pairs that are done job by job, so that progress shows
 LEAST_WEIGHT = 1 / 16  #: share of a batch that a pair has at least
-_BATCHES_PER_WORKER = 2  # submitted at the same time, so that none waits for the next
+_TASKS_PER_WORKER = 2  # submitted at the same time, so that none waits for the next
 
 
 class Collector:
@@ -77,15 +77,15 @@ class Collector:
         self.n_made += len(records)
         self.reporter.advance(len(records))
 
-    def pair_done(self, plan: PairPlan, failures: Iterable[JobFailure]) -> None:
+    def pair_done(self, plan: PairPlan) -> None:
         """Report the failures of a pair that has ended.
 
         The ledger keeps the reason of a failed pair; all results of a pair without scores are
         removed.
         """
         order = list(plan.jobs)
-        failures = sorted(failures, key=lambda failure: order.index(failure.job))
-        self.reporter.advance(len(plan.todo), 1)
+        failures = sorted(plan.failures, key=lambda failure: order.index(failure.job))
+        self.reporter.advance(len(plan.jobs) - len(plan.records), 1)
         required = [failure for failure in failures if not plan.jobs[failure.job].stage.is_extra]
         if required:
             for record in self.folder.forget(plan.pair_id):
@@ -95,8 +95,6 @@ class Collector:
         if reported:
             reasons = [f"{job_title(*failure.job)}: {failure.reason}" for failure in reported]
             self.fail(plan.pair_id, plan.keys[reported[0].job], "; ".join(reasons))
-        else:
-            self.folder.ledger.drop_failure(plan.pair_id)
         for failure in failures:
             if failure.trace and failure.trace not in self._traces:
                 self._traces.add(failure.trace)
@@ -114,52 +112,28 @@ class _Pair:
     """
 
     plan: PairPlan
-    failures: list[JobFailure] = field(default_factory=list)
     is_lost: bool = False
     n_waiting: int = 0
     scored: list[ObjectRows] = field(default_factory=list)
     n_scored: int = 0
 
-    @property
-    def todo(self) -> list[Job]:
-        """Its jobs that are neither done, nor failed, nor in need of one that did; none if a required one failed."""
-        failed = {failure.job for failure in self.failures}
-        if not all(self.plan.jobs[name].stage.is_extra for name in failed):
-            return []
-        left = []
-        for job in self.plan.todo:
-            if job.name in failed or failed.intersection(job.needs):
-                failed.add(job.name)
-            else:
-                left.append(job)
-        return left
-
-    @property
-    def ready(self) -> list[Job]:
-        """Those of them whose needs are done."""
-        return [job for job in self.todo if self.plan.records.keys() >= job.needs]
-
-    def chain(self, grain: Grain, part: str) -> list[Job]:
-        """Those of a grain and part that can be done one after the other without waiting for any other job."""
+    def chain(self, grain: Grain, part: str = "") -> list[Job]:
+        """Its jobs of a grain and part that can be done one after the other without waiting for any other job."""
         done = set(self.plan.records)
         chain = []
-        for job in self.todo:
+        for job in self.plan.todo:
             if (job.stage.grain, job.part) == (grain, part) and done.issuperset(job.needs):
                 chain.append(job)
                 done.add(job.name)
         return chain
 
+    def batch(self, jobs: Iterable[Job], most_bytes: int, **options: Any) -> PairBatch:
+        """Some of its jobs as a batch."""
+        return PairBatch(self.plan, tuple(job.name for job in jobs), most_bytes, **options)
 
-@dataclass(frozen=True)
-class _Batch:
-    """Jobs of pairs that wait for memory, or run, as one task.
 
-    need : bytes that it may occupy
-    """
-
-    pairs: tuple[_Pair, ...]
-    batches: tuple[PairBatch, ...]
-    need: int
+#: Batches that wait for memory, or run, together: at most one of each pair.
+_Task = list[tuple[_Pair, PairBatch]]
 
 
 class Schedule:
@@ -169,7 +143,7 @@ class Schedule:
     ----------
     pool : where batches run
     plans : of the pairs, each with jobs to be made; taken one by one as they are begun
-    survey : of the same pairs
+    n_pairs, n_jobs : number of the pairs, and of their jobs
     collector : receives the results while the work proceeds
     """
 
@@ -177,23 +151,26 @@ class Schedule:
         self,
         pool: Pool,
         plans: Iterable[PairPlan],
-        survey: Survey,
+        n_pairs: int,
+        n_jobs: int,
         collector: Collector,
     ) -> None:
-        self._pool = pool
+        self.pool = pool
         self._collector = collector
         self._pending = iter(plans)
-        self._n_pending = len(survey.todo)
-        self._n_jobs = survey.n_jobs
+        self._n_pending = n_pairs
+        self._n_jobs = n_jobs
         self._active: dict[str, _Pair] = {}
-        self._waiting: deque[_Batch] = deque()
-        self._running: dict[Handle, _Batch] = {}
+        self._waiting: deque[_Task] = deque()
+        self._running: dict[Handle, _Task] = {}
         self._bundle: list[_Pair] = []
         self._quarantine: deque[_Pair] = deque()
         self._is_alone = False
 
     def run(self) -> None:
         """Work until every pair has ended, and show progress."""
+        if not self._n_pending:
+            return
         folder, reporter = self._collector.folder, self._collector.reporter
         notes = folder.folder / NOTES
         rmtree(notes, ignore_errors=True)  # of an earlier run
@@ -201,13 +178,13 @@ class Schedule:
         try:
             self._fill()
             while self._running:
-                handle, outcome = self._pool.next_done()
-                batch = self._running.pop(handle)
+                handle, outcome = self.pool.next_done()
+                task = self._running.pop(handle)
                 is_lost = isinstance(outcome, WorkerDied)
-                results = [outcome] * len(batch.pairs) if is_lost else outcome
-                for pair, part, result in zip(batch.pairs, batch.batches, results, strict=True):
+                results = [outcome] * len(task) if is_lost else outcome
+                for (pair, batch), result in zip(task, results, strict=True):
                     pair.n_waiting -= 1
-                    self._take(pair, part, result)
+                    self._take(pair, batch, result)
                     if not pair.n_waiting:
                         self._go_on(pair)
                 self._fill()
@@ -236,7 +213,7 @@ class Schedule:
 
     def _window(self) -> int:
         """Number of pairs that may be worked on at the same time."""
-        return PAIRS_PER_WORKER * self._pool.n_workers
+        return PAIRS_PER_WORKER * self.pool.n_workers
 
     def _begin(self, pair: _Pair) -> None:
         self._active[pair.plan.pair_id] = pair
@@ -249,10 +226,10 @@ class Schedule:
                 again = (
                     "the worker process died, and again when the pair ran alone (out of memory?)"
                 )
-                pair.failures.append(JobFailure(pair.ready[0].name, f"{again}: {result.detail}"))
+                failure = JobFailure(pair.plan.ready[0].name, f"{again}: {result.detail}")
+                pair.plan = pair.plan.after(failures=[failure])
             return
-        pair.plan = pair.plan.with_records(result.records)
-        pair.failures += result.failures
+        pair.plan = pair.plan.after(result.records, result.failures)
         if not batch.objects:
             self._collector.jobs_done(pair.plan.pair_id, result.records)
             return
@@ -265,27 +242,28 @@ class Schedule:
     def _go_on(self, pair: _Pair) -> None:
         """Submit the next batches of a pair of which nothing is running."""
         reason = self._why_too_large(pair.plan)
-        readers = [job for job in pair.ready if job.scan_sides]
-        while reason and pair.todo and not readers:
-            pair.failures.append(JobFailure(pair.todo[0].name, reason))
-        if not pair.todo:
+        readers = [job for job in pair.plan.ready if job.scan_sides]
+        if reason and not readers:
+            failures = [JobFailure(job.name, reason) for job in pair.plan.todo]
+            pair.plan = pair.plan.after(failures=failures)
+        if not pair.plan.todo:
             self._is_alone = False
             del self._active[pair.plan.pair_id]
-            self._collector.pair_done(pair.plan, pair.failures)
+            self._collector.pair_done(pair.plan)
         elif self._is_alone:
-            self._submit_jobs(pair, pair.ready[:1])
+            self._submit_jobs(pair, pair.plan.ready[:1])
         elif pair.is_lost:
             del self._active[pair.plan.pair_id]
             self._quarantine.append(pair)
-        elif reason and readers:
+        elif reason:
             self._submit_jobs(pair, readers)  # the input files may have fewer points than estimated
         elif pair.scored:
             rows = tuple(pair.scored)
             pair.scored.clear()
-            self._submit_jobs(pair, pair.chain(Grain.OBJECT, ""), rows)
+            self._submit_jobs(pair, pair.chain(Grain.OBJECT), rows)
         elif self._is_worth_splitting(pair):
             self._split(pair)
-        elif pair.plan.limit is not None or any(job.stage.is_long for job in pair.todo):
+        elif pair.plan.limit is not None or any(job.stage.is_long for job in pair.plan.todo):
             # one that may end its worker, or be interrupted, takes no other pair along
             self._submit_together([pair])
         else:
@@ -296,25 +274,25 @@ class Schedule:
     def _is_worth_splitting(self, pair: _Pair) -> bool:
         plan = pair.plan
         largest = costs.object_bytes(plan.largest_object[1])
-        has_objects = any(job.stage.grain is Grain.OBJECT for job in pair.todo)
+        has_objects = any(job.stage.grain is Grain.OBJECT for job in pair.plan.todo)
         if has_objects and largest > self._object_share(plan):
             return True  # its objects are admitted one by one
-        if self._pool.n_workers == 1:
+        if self.pool.n_workers == 1:
             return plan.n_points > LONG_PAIR
         is_large = costs.side_seconds(plan.n_points) > WORTH_SPLITTING_S
         return is_large and self._n_pending + len(self._active) <= self._window()
 
     def _split(self, pair: _Pair) -> None:
         """The next layer of a pair in batches that run at the same time: by side, by object, or by job."""
-        chains = [chain for side in SIDES if (chain := pair.chain(Grain.SIDE, side))]
-        if chains:
-            for chain in chains:
+        sides = [chain for side in SIDES if (chain := pair.chain(Grain.SIDE, side))]
+        if sides:
+            for chain in sides:
                 is_long = pair.plan.n_points > LONG_PAIR
                 self._submit_jobs(pair, chain[:1] if is_long else chain)
-        elif pair.ready[0].stage.grain is Grain.OBJECT:
+        elif pair.plan.ready[0].stage.grain is Grain.OBJECT:
             self._submit_objects(pair)
         else:
-            for job in pair.ready:
+            for job in pair.plan.ready:
                 if job.stage.grain is Grain.PAIR:
                     self._submit_jobs(pair, [job])
 
@@ -322,23 +300,22 @@ class Schedule:
         """Some jobs of a pair as one batch."""
         with_objects = any(job.stage.grain is not Grain.SIDE for job in jobs)
         need = pair.plan.bytes_needed(with_objects=with_objects)
-        names = tuple(job.name for job in jobs)
-        self._submit([pair], [PairBatch(pair.plan, names, need, rows=rows)], need)
+        self._submit([(pair, pair.batch(jobs, need, rows=rows))])
 
     def _submit_bundle(self) -> None:
-        """The pairs that wait for company, as one batch."""
+        """The pairs that wait for company, as one task."""
         if self._bundle:
             pairs = self._bundle
             self._bundle = []
             self._submit_together(pairs)
 
     def _submit_together(self, pairs: list[_Pair]) -> None:
-        """All that is left of some pairs as one batch; each stops before a job that may need more than its share."""
-        batches = []
+        """All that is left of some pairs as one task; each stops before a job that may need more than its share."""
+        task = []
         for pair in pairs:
             need = costs.pair_bytes(pair.plan.n_points) + self._object_share(pair.plan)
-            batches.append(PairBatch(pair.plan, tuple(job.name for job in pair.todo), need))
-        self._submit(pairs, batches, max(batch.most_bytes or 0 for batch in batches))
+            task.append((pair, pair.batch(pair.plan.todo, need)))
+        self._submit(task)
 
     def _weight(self, pair: _Pair) -> float:
         """The part of a batch that a pair is worth."""
@@ -347,7 +324,7 @@ class Schedule:
 
     def _submit_objects(self, pair: _Pair) -> None:
         """The stages over a pair's objects: large objects alone, small ones together, largest first."""
-        chain = pair.chain(Grain.OBJECT, "")
+        chain = pair.chain(Grain.OBJECT)
         if not pair.plan.objects:
             self._submit_jobs(pair, chain)
             return
@@ -359,40 +336,40 @@ class Schedule:
                 left_s = BATCH_S
             batches[-1].append((number, n_keep))
             left_s -= costs.object_seconds(n_keep)
-        jobs = tuple(job.name for job in chain)
         for sizes in batches:
             need = costs.pair_bytes(pair.plan.n_points) + costs.object_bytes(sizes[0][1])
             objects = tuple(number for number, _ in sizes)
-            self._submit([pair], [PairBatch(pair.plan, jobs, objects=objects)], need)
+            self._submit([(pair, pair.batch(chain, need, objects=objects))])
 
-    def _submit(self, pairs: list[_Pair], batches: list[PairBatch], need: int) -> None:
-        """Queue a batch for `_admit`."""
-        for pair in pairs:
+    def _submit(self, task: _Task) -> None:
+        """Queue a task for `_admit`."""
+        for pair, _ in task:
             pair.n_waiting += 1
-        self._waiting.append(_Batch(tuple(pairs), tuple(batches), need))
+        self._waiting.append(task)
 
     def _admit(self) -> None:
-        """Submit queued batches in their order, as long as those that may run at once fit into the memory."""
-        n_workers = self._pool.n_workers
-        while self._waiting and len(self._running) < _BATCHES_PER_WORKER * n_workers:
-            batch = self._waiting[0]
-            needs = [batch.need, *(running.need for running in self._running.values())]
+        """Submit queued tasks in their order, as long as those that may run at once fit into the memory."""
+        n_workers = self.pool.n_workers
+        while self._waiting and len(self._running) < _TASKS_PER_WORKER * n_workers:
+            task = self._waiting[0]
+            needs = [_most_bytes(each) for each in (task, *self._running.values())]
             if self._running and sum(heapq.nlargest(n_workers, needs)) > self._usable():
                 return
             self._waiting.popleft()
-            self._running[self._pool.submit(run_batch, batch.batches)] = batch
+            batches = [batch for _, batch in task]
+            self._running[self.pool.submit(run_batch, batches)] = task
 
     def _usable(self) -> int:
         """Bytes available to batches, of all workers together."""
-        return max(0, self._pool.memory.together - costs.PROCESS_BYTES * self._pool.n_workers)
+        return max(0, self.pool.memory.together - costs.PROCESS_BYTES * self.pool.n_workers)
 
     def _object_share(self, plan: PairPlan) -> int:
         """Bytes that an object may need for its pair to run as one batch."""
-        return max(0, self._usable() // self._pool.n_workers - costs.pair_bytes(plan.n_points))
+        return max(0, self._usable() // self.pool.n_workers - costs.pair_bytes(plan.n_points))
 
     def _why_too_large(self, plan: PairPlan) -> str | None:
         """Reason why the rest of a pair does not fit into the memory even if nothing else runs; None if it fits."""
-        usable = max(0, self._pool.memory.alone - costs.PROCESS_BYTES)
+        usable = max(0, self.pool.memory.alone - costs.PROCESS_BYTES)
         need = plan.bytes_needed(with_objects=True)
         if need <= usable:
             return None
@@ -403,6 +380,10 @@ class Schedule:
             f"(machine.memory_gib minus {_gib(costs.PROCESS_BYTES)} for the worker process); a smaller graph.k "
             "makes smaller objects, input.voxel_m, input.include_box or input.max_range_m fewer points"
         )
+
+
+def _most_bytes(task: _Task) -> int:
+    return max(batch.most_bytes for _, batch in task)
 
 
 def _gib(n_bytes: int) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from itertools import chain
 from typing import Any
 
@@ -20,24 +19,6 @@ from .progress import Reporter
 
 PlanPair = Callable[[ScanPair], PairPlan]
 Contents = dict[str, dict[str, ScanContent]]  #: of files, by pair_id and side
-
-
-@dataclass
-class Survey:
-    """Comparison of existing results with the plan.
-
-    usable : pairs whose files exist
-    todo : selected pairs among them that have jobs to do
-    stale : finished jobs whose results are no longer needed, each with the reason
-    n_jobs : jobs to do, of the pairs in `todo`
-    failures : reasons by pair_id of other pairs, which failed in an earlier run
-    """
-
-    usable: list[ScanPair] = field(default_factory=list)
-    todo: list[ScanPair] = field(default_factory=list)
-    stale: dict[JobName, str] = field(default_factory=dict)
-    n_jobs: int = 0
-    failures: dict[str, str] = field(default_factory=dict)
 
 
 def hash_files(pairs: Iterable[ScanPair], folder: RunFolder) -> tuple[Contents, dict[str, str]]:
@@ -81,27 +62,26 @@ def what_changed(
 
 
 def remove_stale(
-    survey: Survey, folder: RunFolder, reporter: Reporter, changes: Sequence[str]
+    stale: Mapping[JobName, str], folder: RunFolder, reporter: Reporter, changes: Sequence[str]
 ) -> None:
     """Report which results are replaced or removed and why, and remove them.
 
     Parameters
     ----------
+    stale : finished jobs whose results are no longer needed, each with the reason
     changes : since the last run, as text
     """
-    by_reason: defaultdict[str, list[JobName]] = defaultdict(list)
-    for name, reason in survey.stale.items():
-        by_reason[reason].append(name)
-    for reason, names in by_reason.items():
+    jobs_of_pairs: defaultdict[str, set[JobId]] = defaultdict(set)
+    for stage, pair_id, part in stale:
+        jobs_of_pairs[pair_id].add((stage, part))
+    for reason in dict.fromkeys(stale.values()):
         why = reason
         if reason == OUT_OF_DATE:
             why = f"{reason} ({'; '.join(changes) or 'the input files or libraries changed'})"
+        names = [name for name in stale if stale[name] == reason]
         reporter.say(f"replacing {jobs_in_words(names)}: {why}")
-        jobs_of_pairs: defaultdict[str, set[JobId]] = defaultdict(set)
-        for stage, pair_id, part in names:
-            jobs_of_pairs[pair_id].add((stage, part))
-        for pair_id, jobs in jobs_of_pairs.items():
-            folder.forget(pair_id, jobs)
+    for pair_id, jobs in jobs_of_pairs.items():
+        folder.forget(pair_id, jobs)
     n_strays = folder.remove_strays()
     if n_strays:
         reporter.say(f"removing files that no finished job accounts for: {n_strays}")

@@ -23,9 +23,7 @@ def map_tasks(
     reporter: Reporter,
     *,
     n_workers: int | None = 1,
-    memory_gib: float | None = None,
     may_end_workers: bool = False,
-    keep: Callable[[Result], object] = lambda _: None,
 ) -> tuple[dict[str, Result], dict[str, str]]:
     """Call a function with each task; Ctrl-C ends all of them.
 
@@ -35,9 +33,7 @@ def map_tasks(
     tasks : by name
     reporter : shows progress, and each failure
     n_workers : processes; None for one per core; 1 for this one, unless a task may end it
-    memory_gib : memory of all processes together; None for four fifths of the machine's
     may_end_workers : whether a task may end the process that it is in
-    keep : called with each result as soon as there is one
 
     Returns
     -------
@@ -55,7 +51,7 @@ def map_tasks(
     if len(tasks) == 1:
         n_workers = 1
     modules = [function.__module__]
-    pool = start_pool(n_workers, memory_gib, modules, may_end_workers=may_end_workers)
+    pool = start_pool(n_workers, None, modules, may_end_workers=may_end_workers)
     try:
         for name, result, reason in reporter.counted(_outcomes(pool, function, tasks), len(tasks)):
             if reason:
@@ -63,7 +59,6 @@ def map_tasks(
                 reporter.fail(f"pair {name}", reason)
             else:
                 results[name] = cast(Result, result)
-                keep(results[name])
     finally:
         pool.close()
     return results, failures
@@ -73,20 +68,18 @@ def _outcomes(
     pool: Pool, function: Callable[[Task], Result], tasks: Mapping[str, Task]
 ) -> Iterator[tuple[str, Result | None, str]]:
     """Name, result and reason of failure of each task; one whose worker died is tried again alone."""
-    running = {pool.submit(_call, function, task): name for name, task in tasks.items()}
-    lost = []
-    for _ in tasks:
-        handle, outcome = pool.next_done()
-        if isinstance(outcome, WorkerDied):
-            lost.append(running[handle])
-        else:
-            yield running[handle], *outcome
-    for name in lost:
-        pool.submit(_call, function, tasks[name])
-        _, outcome = pool.next_done()
-        if isinstance(outcome, WorkerDied):
-            outcome = None, f"{_DIED}: {outcome.detail}"
-        yield name, *outcome
+    groups = [list(tasks)]
+    for group in groups:
+        running = {pool.submit(_call, function, tasks[name]): name for name in group}
+        for _ in group:
+            handle, outcome = pool.next_done()
+            name = running[handle]
+            if not isinstance(outcome, WorkerDied):
+                yield name, *outcome
+            elif group is groups[0]:
+                groups.append([name])
+            else:
+                yield name, None, f"{_DIED}: {outcome.detail}"
 
 
 def _call(function: Callable[[Task], Result], task: Task) -> tuple[Result | None, str]:

@@ -7,8 +7,9 @@ value for value.
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from itertools import chain
 from types import SimpleNamespace
@@ -24,10 +25,9 @@ from ..datasets.pairs import ScanPair
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
 from ..stage import Grain, Inputs, JobResult, Memo, Metadata, Stage, Steps, Tables
-from ..storage.remote_dataset import restored_scan
 from ..storage.scratch import temporary_space
-from ..storage.table_files import JobId, JobRecord, plain_metadata, table_name, tables_of_run
-from .plan import Job, PairPlan, Source, plan_jobs, reads
+from ..storage.table_files import JobId, JobRecord, plain_metadata, table_name
+from .plan import Job, JobFailure, PairPlan, Source, plan_jobs, reads
 from .time_limit import OutOfTimeError, limited
 
 #: Tables of a pair by name and side.
@@ -36,15 +36,6 @@ PairTables = dict[tuple[str, str], pa.Table]
 NAMELESS = ScanPair("", None, None)
 #: Of some objects, by job: rows of its tables, and name and seconds of its steps.
 ObjectRows = dict[JobId, tuple[Tables, tuple[tuple[str, float], ...]]]
-
-
-@dataclass(frozen=True)
-class JobFailure:
-    """Reason why a job failed; with the traceback if it is a bug."""
-
-    job: JobId
-    reason: str
-    trace: str = ""
 
 
 @dataclass(frozen=True)
@@ -61,14 +52,14 @@ class PairBatch:
     """Some jobs of a pair, to be run in order.
 
     jobs : their names
-    most_bytes : a batch ends before a job that may need more than this
+    most_bytes : that the batch may occupy; it ends before a job that may need more
     objects : score these objects alone, and write nothing
     rows : of all objects, from such batches, from which the jobs write their tables
     """
 
     plan: PairPlan
     jobs: tuple[JobId, ...]
-    most_bytes: int | None = None
+    most_bytes: int
     objects: tuple[int, ...] = ()
     rows: tuple[ObjectRows, ...] = ()
 
@@ -78,36 +69,27 @@ def run_batch(batches: Sequence[PairBatch]) -> list[BatchResult]:
     results = []
     for batch in batches:
         runner = JobRunner(batch.plan, objects=batch.objects)
-        failures = runner.result.failures
         try:
             with limited(batch.plan.limit) as note:
-                for job in _next_jobs(batch, runner):
-                    note(job_title(*job.name))
+                for name in batch.jobs:
+                    job = batch.plan.jobs[name]
+                    if job not in runner.plan.ready:
+                        continue
+                    need = runner.plan.bytes_needed(with_objects=job.stage.grain is Grain.OBJECT)
+                    if need > batch.most_bytes and not batch.objects:
+                        break
+                    note(job_title(*name))
                     try:
                         with temporary_space():
                             runner.make_job(job, batch.rows)
                     except DiskFullError:
                         raise  # no other pair could go on either
                     except Exception as error:
-                        failures.append(_failure(job, error))
+                        runner.fail(_failure(job, error))
         except OutOfTimeError as error:
-            failures.append(JobFailure(batch.jobs[0], str(error)))
+            runner.fail(JobFailure(batch.jobs[0], str(error)))
         results.append(runner.result)
     return results
-
-
-def _next_jobs(batch: PairBatch, runner: JobRunner) -> Iterator[Job]:
-    """The jobs of a batch whose needs are done; none after a failure that fails the pair."""
-    for name in batch.jobs:
-        job = batch.plan.jobs[name]
-        failed = [batch.plan.jobs[failure.job] for failure in runner.result.failures]
-        if not all(job.stage.is_extra for job in failed):
-            return
-        need = runner.plan.bytes_needed(with_objects=job.stage.grain is Grain.OBJECT)
-        if batch.most_bytes is not None and need > batch.most_bytes:
-            return
-        if runner.done.issuperset(job.needs):
-            yield job
 
 
 def run_in_memory(
@@ -124,15 +106,15 @@ def run_in_memory(
     ----------
     stages : in their order
     scans : by side
-    tables : existing tables, with the columns that the stages read; the jobs that make them are not
-        run, nor those of a side without a table or a scan
+    tables : existing tables, at least with the columns that the stages read; the jobs that make
+        them are not run, nor those of a side without a table or a scan
 
     Raises
     ------
     StageError
         A stage fails; with the name of its job.
     """
-    runner = JobRunner(PairPlan(pair, plan_jobs(stages, settings), {}), scans or {})
+    runner = JobRunner(PairPlan(pair, plan_jobs(stages, settings), defaultdict(str)), scans)
     runner.tables = dict(tables or {})
     parts = {"", *runner.scans, *(side for _, side in runner.tables)}
     for job in runner.plan.todo:
@@ -152,16 +134,14 @@ class JobRunner:
     Parameters
     ----------
     plan : of the pair
-    scans : by side, of jobs that write nothing; None for those of the plan, whose results are
-        written
+    scans : by side, those in memory
     objects : score these alone, and write nothing
 
     Attributes
     ----------
-    done : names of the jobs whose results exist
+    plan : knows what came of the jobs so far
     tables : results of its jobs
-    scans : by side, those in memory
-    result : the same for the command
+    result : of the jobs, for the command
     """
 
     def __init__(
@@ -171,19 +151,20 @@ class JobRunner:
         objects: tuple[int, ...] = (),
     ) -> None:
         self.plan = plan
-        self.done = set(plan.records)
         self.tables: PairTables = {}
         self.result = BatchResult()
-        self._folder = tables_of_run(plan.folder, plan.token, plan.url)
-        self._is_stored = scans is None
         self.scans = dict(scans or {})
         self._objects = objects
-        self._selected: dict[Source, pa.Table] = {}
-        self._stored: dict[Source, pa.Table] = {}
+        self._stored: PairTables = {}
         self._memo = Memo()
-        if objects:  # the pair's other batches read the same
+        if objects and plan.tables:  # the pair's other batches read the same
             keys = tuple(plan.keys.values())
-            self._stored, self._memo = _kept(plan.token, plan.pair_id, keys)
+            self._stored, self._memo = _kept(plan.tables.token, plan.pair_id, keys)
+
+    def fail(self, failure: JobFailure) -> None:
+        """Note the failure of a job."""
+        self.plan = self.plan.after(failures=[failure])
+        self.result.failures.append(failure)
 
     def make_job(self, job: Job, rows: tuple[ObjectRows, ...] = ()) -> None:
         """Run a job, and write its results unless they are those of some objects; its errors are raised unchanged.
@@ -195,14 +176,16 @@ class JobRunner:
         parts = [part[job.name] for part in rows]
         steps = Steps(chain.from_iterable(seconds for _, seconds in parts))
         inputs = self._inputs(job, steps)
-        made = _joined([tables for tables, _ in parts]) if parts else job.stage.make(inputs)
+        if job.stage.grain is Grain.OBJECT and not self._objects:
+            tables = [tables for tables, _ in parts] or [job.stage.make(inputs).tables]
+            made = _gathered(job, inputs, tables)
+        else:
+            made = job.stage.make(inputs)
         if self._objects:
             self.result.scored[job.name] = made.tables, steps.total()
+            self.plan = self.plan.after([self._record(job, made)])
         else:
-            if job.stage.grain is Grain.OBJECT:
-                made = _gathered(job, inputs, made)
             self._finish(job, made, steps)
-        self.done.add(job.name)
         self.tables |= {(name, job.part): table for name, table in made.tables.items()}
 
     def _inputs(self, job: Job, step: Steps) -> Inputs:
@@ -216,8 +199,7 @@ class JobRunner:
                 scans[source.side] = partial(self._scan, source.side)
                 continue
             name = source.table, source.side
-            if source.columns:
-                tables[name] = partial(self._read, source, step)
+            tables[name] = partial(self._read, source, step)
             maker = self.plan.jobs[source.maker]
             record = self.plan.records.get(source.maker)
             # rows of objects may be made before the metadata of all
@@ -242,19 +224,17 @@ class JobRunner:
         )
 
     def _read(self, source: Source, step: Steps) -> pa.Table:
-        """The declared columns of a table that was made here or is in the run's folder."""
-        made = self.tables.get((source.table, source.side))
-        if made is not None:
-            if source not in self._selected:
-                self._selected[source] = made.select(source.columns)
-            return self._selected[source]
-        if source not in self._stored:
+        """A table that was made here, or is in the run's folder."""
+        name = source.table, source.side
+        if name in self.tables:
+            return self.tables[name]
+        if name not in self._stored:
             path = table_name(source.table, self.plan.pair_id, source.side)
             stored = self.plan.records[source.maker].files[path]  # type: ignore[index]
             with step("read"):
-                rows = self._folder.read(source.table, stored, path, list(source.columns))
-            self._stored[source] = rows
-        return self._stored[source]
+                rows = self.plan.tables.read(source.table, stored, path)  # type: ignore[union-attr]
+            self._stored[name] = rows
+        return self._stored[name]
 
     def _scan(self, side: str) -> Scan:
         """The scan of a side, whose file must be the one that the keys were made of."""
@@ -262,8 +242,6 @@ class JobRunner:
             ref = self.plan.pair.scans.get(side)
             if ref is None:
                 raise StageError(f"no {side} scan")
-            if self.plan.stubs:
-                ref = replace(ref, file=restored_scan(ref.file, self.plan.stubs))
             columns = next(iter(self.plan.jobs.values())).settings.input.columns_of(side)
             scan = read_scan(ref, columns, dict(self.plan.label_names))
             if scan_content(ref) != self.plan.inputs[side]:
@@ -286,35 +264,34 @@ class JobRunner:
             raise ValueError(
                 f"stage {job.stage.name}: expected tables {job.stage.gives}, got {found}"
             )
-        plan = self.plan
-        metadata = plain_metadata(made.metadata)
-        record = JobRecord(job.stage.name, plan.pair_id, job.part, "", {}, metadata=metadata)
-        if self._is_stored:
-            record.key = plan.keys[job.name]
-            record.reads = reads(job, plan.keys)
-            record.made_by = plan.token
+        record = self._record(job, made)
+        if self.plan.tables:
             with steps("write"):
-                record.files = self._folder.write_job(record, made.tables)
+                self.plan.tables.write_job(record, made.tables)
         record.steps = steps.total()
-        self.plan = plan.with_records([record])
+        self.plan = self.plan.after([record])
         needed = [left.scan_sides for left in self.plan.todo]
         for side in set(self.scans).difference(*needed):
             del self.scans[side]  # no later job reads it
         self.result.records.append(record)
 
+    def _record(self, job: Job, made: JobResult) -> JobRecord:
+        """The record of a finished job, without its files and seconds."""
+        return JobRecord(
+            job.stage.name,
+            self.plan.pair_id,
+            job.part,
+            self.plan.keys[job.name],
+            reads=reads(job, self.plan.keys),
+            metadata=plain_metadata(made.metadata),
+        )
 
-def _joined(parts: Sequence[Tables]) -> JobResult:
-    """The rows of several parts of the same tables."""
-    tables = {}
-    for name in parts[0]:
-        tables[name] = pa.concat_tables([part[name] for part in parts])
-    return JobResult(tables)
 
-
-def _gathered(job: Job, inputs: Inputs, made: JobResult) -> JobResult:
+def _gathered(job: Job, inputs: Inputs, parts: Sequence[Tables]) -> JobResult:
     """The rows of all objects, in the order of the table's keys."""
     tables = {}
-    for name, rows in made.tables.items():
+    for name in parts[0]:
+        rows = pa.concat_tables([part[name] for part in parts])
         keys = [(key, "ascending") for key in TABLES[name].keys]
         tables[name] = rows.sort_by(keys).combine_chunks()
     metadata = job.stage.gather(inputs, tables) if job.stage.gather is not None else {}
@@ -322,7 +299,7 @@ def _gathered(job: Job, inputs: Inputs, made: JobResult) -> JobResult:
 
 
 @lru_cache(maxsize=2)
-def _kept(token: str, pair_id: str, keys: tuple[str, ...]) -> tuple[dict[Source, pa.Table], Memo]:
+def _kept(token: str, pair_id: str, keys: tuple[str, ...]) -> tuple[PairTables, Memo]:
     """Stored tables and common results of a pair that has several batches of objects, kept by the process."""
     return {}, Memo()
 

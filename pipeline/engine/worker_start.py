@@ -11,7 +11,7 @@ import ot
 import scipy.ndimage
 import scipy.signal
 import scipy.stats
-import sklearn.utils
+import sklearn.linear_model
 import sknetwork.clustering
 
 from . import worker

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from enum import IntEnum
 from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
@@ -22,7 +21,7 @@ from numpy.typing import NDArray
 from ...schemas.columns import SIDES
 from ...schemas.errors import FidpipeError, RunError
 from ...schemas.metric_catalogue import QUADRANT_SCORES, scores_in
-from ...stages.coverage import nearest_distances
+from ..report.run_frames import points_of
 from ..storage.files import named_errors, write_whole
 from ..storage.table_files import file_stem
 
@@ -32,17 +31,9 @@ if TYPE_CHECKING:
     from ..results.finished import FinishedRun
 
 
-class Status(IntEnum):
-    """Fate of the object that a point belongs to; the first one is for points without an object."""
-
-    GROUND = 0
-    SCORED = 1
-    IDENTICAL = 2
-    TOO_SMALL = 3
-    NOT_FOUND = 4
-    EXTRA = 5
-
-
+#: Fate of the object that a point belongs to, by number; the first one is for points without an object.
+STATUSES = ("ground", "scored", "identical", "too_small", "not_found", "extra")
+LEGEND = ", ".join(f"{number} {status}" for number, status in enumerate(STATUSES))
 _DRAWN = QUADRANT_SCORES[::-1]
 #: Of a point: metres in the real sensor's frame; object (-1: ground); NaN without a score.
 POINT = np.dtype(
@@ -64,7 +55,6 @@ OBJECT = np.dtype(
 )
 TOPIC = "/fidpipe"
 FRAME = "real_sensor"
-LEGEND = ", ".join(f"{status.value} {status.name.lower()}" for status in Status)
 _POINT_FIELDS = {"<i4": 5, "|u1": 2, "<f8": 8}  # PointField.INT32, UINT8, FLOAT64
 _PLY_TYPES = {"<f8": "double", "<i4": "int", "|u1": "uchar"}
 _NS = 1_000_000_000
@@ -108,18 +98,15 @@ def export_run(
     plys = {}
     for name, side in product(names, SIDES):
         plys[name, side] = folder / f"{file_stem(name)}.{side}.ply"
-    paths = [bag] if mcap else []
-    if ply:
-        paths += plys.values()
+    paths = [*([bag] if mcap else []), *(plys.values() if ply else [])]
     for path in paths:
         if path.exists() and not replace:
             raise RunError(f"{path}: already exists; add --replace, or choose another --out")
     lines = []
     if mcap:
-        stamps_ns, has_times = message_times(run, names)
+        stamps_ns, stamps = message_times(run, names)
         in_time = sorted(names, key=stamps_ns.__getitem__)
         _write_bag(bag, run, _messages(run, counted(in_time, len(names)), stamps_ns))
-        stamps = "of the dataset" if has_times else "one second apart"
         lines.append(f"MCAP:   {bag}, stamps {stamps}")
     if ply:
         for name in counted(names, len(names)):
@@ -140,18 +127,19 @@ def _messages(
         yield f"{TOPIC}/scores", stamps_ns[name], json.dumps(run.row(name), allow_nan=False)
 
 
-def message_times(run: FinishedRun, names: Sequence[str]) -> tuple[dict[str, int], bool]:
-    """The time of each pair in nanoseconds, and whether it is that of the dataset.
+def message_times(run: FinishedRun, names: Sequence[str]) -> tuple[dict[str, int], str]:
+    """The time of each pair in nanoseconds, and whose times these are.
 
     It is that of the real scan (`timestamp_s` of the manifest) if all these pairs have one, each
     its own, from 0 to 2^31 s. Else the pairs of the run are one second apart, the first at 1 s: to
     ROS, 0 means no time.
     """
-    known_s = run.record.times_s
-    times_s = {name: known_s[name] for name in names if 0 <= known_s.get(name, -1.0) < _LATEST_S}
-    if len(set(times_s.values())) == len(names):
-        return {name: round(time_s * _NS) for name, time_s in times_s.items()}, True
-    return {row["pair_id"]: second * _NS for second, row in enumerate(run.scored, 1)}, False
+    times_s = run.record.times_s
+    known_s = {times_s[name] for name in names if 0 <= times_s.get(name, -1.0) < _LATEST_S}
+    if len(known_s) == len(names):
+        return {name: round(times_s[name] * _NS) for name in names}, "of the dataset"
+    seconds = enumerate(run.scored, 1)
+    return {row["pair_id"]: second * _NS for second, row in seconds}, "one second apart"
 
 
 def pair_clouds(
@@ -172,24 +160,15 @@ def pair_clouds(
     objects = run.objects_of([pair_id]).rename(
         columns={"cx": "x", "cy": "y", "cz": "z", "community_id": "community"},
     )
-    status = objects["status"].where(
-        objects["fate"] == "matched",
-        objects["fate"].replace("remnant", "not_found"),
-    )
-    objects["status"] = [Status[word.upper()].value for word in status]
-    frames = {side: run.points(pair_id, side) for side in SIDES}
-    places = [frame.loc[~frame.is_ground, ["x", "y", "z"]].to_numpy() for frame in frames.values()]
+    fate = objects["fate"].replace("remnant", "not_found")
+    status = objects["status"].where(fate == "matched", fate)
+    objects["status"] = status.map(STATUSES.index)
     clouds = {}
-    for (side, frame), distance_m in zip(frames.items(), nearest_distances(*places), strict=True):
+    for side, rows in points_of(run, pair_id).items():
         side_objects = objects[objects["side"] == side]
-        frame["community"] = frame.community_id.fillna(-1).astype(int)
-        frame.loc[frame.community >= 0, "distance_m"] = distance_m
-        points = frame.merge(
-            side_objects[["community", *_DRAWN, "status"]],
-            on="community",
-            how="left",
-        )
-        points["status"] = points.status.fillna(Status.GROUND.value)
+        scores = side_objects[["community", *_DRAWN, "status"]]
+        points = rows.assign(community=rows["community_id"].fillna(-1).astype(int))
+        points = points.merge(scores, on="community", how="left").fillna({"status": 0})
         with_points = side_objects[side_objects["n_points"] > 0]
         clouds[side] = (_rows(points, POINT), _rows(with_points, OBJECT))
     return clouds

@@ -19,7 +19,7 @@ from ...schemas.columns import FARTHEST_M
 from ...schemas.errors import RunError, ScanError
 from ...schemas.settings import InputSettings, Settings
 from ...stages.clean import as_ros, clean_scan
-from ...stages.generate.perturbations import fill_gaps, remeasure
+from ...stages.generate.second_measurement import fill_gaps, remeasure
 from ...stages.sensor_description import NO_GAPS, describe_with_gaps
 from ..datasets.pairs import LABEL_NAMES, MANIFEST, Dataset, ScanPair, read_dataset
 from ..datasets.readers import read_scan
@@ -28,7 +28,6 @@ from ..engine.pool import one_blas_thread
 from ..engine.progress import Reporter
 from ..results.best_case import (
     AS_MEASURED,
-    BEST_CASE_AMOUNTS,
     BEST_CASE_DATASET,
     BEST_CASE_RECIPE,
     BestCaseRecipe,
@@ -96,7 +95,7 @@ def run_best_case(
         (out / LEDGER).mkdir(exist_ok=True)  # from now on it is the folder of a run
         _write_dataset(out / BEST_CASE_DATASET, recipe, source, selected, settings.input, reporter)
     same_on_both_sides = settings.input.model_copy(
-        update={"sim_flip_y": False, "sim_frame": settings.input.real_frame, "sim_columns": None}
+        update={"sim_frame": settings.input.real_frame, "sim_columns": None}
     )
     return run_dataset(
         out / BEST_CASE_DATASET,
@@ -146,35 +145,29 @@ def _write_dataset(
         for pair, path in reporter.counted(wanted, len(wanted)):
             real = sim = str(pair.real.absolute()) if pair.real else ""
             try:
-                table, noise_m, lost_share, reason = _remeasured(
-                    pair, recipe, settings, source.label_names
-                )
+                table, used = _remeasured(pair, recipe, settings, source.label_names)
             except ScanError:  # reported by the run, which reads the real scan on both sides
                 path.unlink(missing_ok=True)
             else:
                 content = BytesIO()
                 pq.write_table(table, content)
                 write_whole(path, content.getbuffer())
-                amounts.append((pair.pair_id, noise_m, lost_share, reason))
+                amounts.append(used)
                 sim = f"sim/{path.name}"
             rows.append((pair.pair_id, real, sim, pair.timestamp_s))
     if amounts and AS_MEASURED in (recipe.noise_m, recipe.lost_share):
-        _report_amounts(amounts, folder, reporter)
+        _report_amounts(amounts, reporter)
     write_whole(folder / MANIFEST, csv_bytes(["pair_id", "real", "sim", "timestamp_s"], rows))
 
 
-def _report_amounts(
-    amounts: list[tuple[str, float, float, str]], folder: Path, reporter: Reporter
-) -> None:
-    """Write and show noise and losses by pair; warn of scans where they cannot be measured."""
-    columns = ["pair_id", "noise_m", "lost_share", "reason"]
-    write_whole(folder / BEST_CASE_AMOUNTS, csv_bytes(columns, amounts))
+def _report_amounts(amounts: list[tuple[float, float, str]], reporter: Reporter) -> None:
+    """Show the medians of noise and losses; warn of scans where they cannot be measured."""
     n_scans = len(amounts)
-    noise_m, lost_share = np.median([row[1:3] for row in amounts], axis=0)
+    noise_m, lost_share = np.median([row[:2] for row in amounts], axis=0)
     reporter.say(
         f"range noise {1e3 * noise_m:.0f} mm, dropout {lost_share:.1%} (median of {n_scans} scans)"
     )
-    reasons = [row[3] for row in amounts if row[3]]
+    reasons = [row[2] for row in amounts if row[2]]
     if reasons:
         reporter.warn(
             f"{len(reasons)} of {n_scans} real scans: noise or losses cannot be measured ({reasons[0]}); "
@@ -187,7 +180,7 @@ def _remeasured(
     recipe: BestCaseRecipe,
     settings: InputSettings,
     label_names: dict[int, str],
-) -> tuple[pa.Table, float, float, str]:
+) -> tuple[pa.Table, tuple[float, float, str]]:
     """One measurement: x, y, z, labels and instances if the scan has them; its noise, losses and what was assumed.
 
     A second measurement loses other pulses than the first. If losses are those of the scan, the
@@ -225,4 +218,4 @@ def _remeasured(
     if scan.instances is not None:
         columns["instance"] = scan.instances[rows]
     known_reasons = dict.fromkeys(filter(None, reasons))
-    return pa.table(columns), float(noise_m), float(lost_share), "; ".join(known_reasons)
+    return pa.table(columns), (float(noise_m), float(lost_share), "; ".join(known_reasons))

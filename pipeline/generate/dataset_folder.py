@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -107,36 +106,38 @@ def _prepare(
 
     for side in SIDES:
         refuse_link(out / side)
-    earlier: Recipe = {}
-    with suppress(OSError, ValueError):  # TOML and unicode errors are ValueErrors
-        earlier = parse_toml((out / recipe_name).read_text(encoding="utf-8"))
-    existing = _existing_files(out, earlier)
+    earlier = _earlier_recipe(out / recipe_name)
     kind = f"a dataset of fidpipe {recipe_name.removesuffix('.toml')}"
-    refuse_other_content(f"dataset {out}", out, kind, is_own=existing is not None, other="folder")
+    refuse_other_content(f"dataset {out}", out, kind, is_own=bool(earlier), other="folder")
     text = tomli_w.dumps(recipe)
-    if existing is not None:
-        now = tomllib.loads(text)
-        changed = [name for name in earlier | now if earlier.get(name) != now.get(name)]
-        # The other entries affect the content of the files.
-        is_other = not {"recording", "files"}.issuperset(changed)
-        lost = [path for path in existing if is_other or path.name not in recipe["files"]]
-        if lost and not replace and (out / MANIFEST).exists():
-            why = [f"other {name}" for name in changed]
-            refuse_overwrite(f"dataset {out}", f"{len(lost)} of its files", why, "folder")
-        for path in [out / MANIFEST, out / LABEL_NAMES, *lost]:
-            path.unlink(missing_ok=True)
+    now = tomllib.loads(text)
+    changed = [name for name in earlier | now if earlier.get(name) != now.get(name)]
+    # The other entries affect the content of the files.
+    kept = recipe["files"] if {"recording", "files"}.issuperset(changed) else ()
+    lost = []
+    for side, name in product(SIDES, earlier.get("files", ())):
+        path = out / side / name
+        if name not in kept and path_exists(path) and not path.is_dir():
+            lost.append(path)
+    if lost and not replace and (out / MANIFEST).exists():
+        why = [f"other {name}" for name in changed]
+        refuse_overwrite(f"dataset {out}", f"{len(lost)} of its files", why, "folder")
+    for path in [out / MANIFEST, out / LABEL_NAMES, *lost]:
+        path.unlink(missing_ok=True)
     write_whole(out / recipe_name, text.encode())
     if label_names:
         names = tomli_w.dumps({str(number): name for number, name in label_names.items()})
         write_whole(out / LABEL_NAMES, names.encode())
 
 
-def _existing_files(out: Path, recipe: Recipe) -> list[Path] | None:
-    """Existing files of a recipe; None if it is not one of a generated dataset."""
+def _earlier_recipe(path: Path) -> Recipe:
+    """The recipe in a file; {} if it is not one of a generated dataset."""
+    try:
+        recipe = parse_toml(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):  # TOML and unicode errors are ValueErrors
+        return {}
     names = recipe.get("files")
     if not isinstance(names, list) or not {"version", "seed", "sensor"} <= recipe.keys():
-        return None
-    if any(Path(str(name)).name != name for name in names):
-        return None
-    paths = [out / side / name for side, name in product(SIDES, names)]
-    return [path for path in paths if path_exists(path) and not path.is_dir()]
+        return {}
+    is_own = all(Path(str(name)).name == name for name in names)
+    return recipe if is_own else {}

@@ -161,7 +161,7 @@ def _kitti_motions(poses: Path, rows: FloatArray, calibration: Path) -> FloatArr
     """(n, 3, 4) float64, T_world_sensor = Tr^-1 T_world_camera Tr; the world is then the sensor's first frame."""
     T_world_camera = []
     for line, row in enumerate(rows, start=1):
-        T_world_camera.append(square(check_rigid(f"{poses}, pose {line}", "the pose", row)))
+        T_world_camera.append(square(check_rigid(f"{poses}, pose {line}: the pose", row)))
     T_camera_sensor = square(_read_calibration(calibration, poses))
     motions: FloatArray = (
         np.linalg.inv(T_camera_sensor) @ np.array(T_world_camera) @ T_camera_sensor
@@ -183,7 +183,7 @@ def _read_calibration(path: Path, poses: Path) -> FloatArray:
             f"{path}: expected a line Tr: with 12 numbers, from the sensor's frame to the camera's ({error}); "
             f"{poses.name} holds KITTI's poses of the camera, which need it (--calib)"
         ) from error
-    return check_rigid(str(path), "Tr", numbers)
+    return check_rigid(f"{path}: Tr", numbers)
 
 
 def square(motion: ArrayLike) -> FloatArray:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import gc
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -38,30 +38,45 @@ _LEAST_OTHERS = 2
 
 
 @dataclass(frozen=True)
-class _Task:
-    """One frame to be re-scanned, see `make_twins`; the other frames are sorted by distance in time."""
+class TwinRecipe:
+    """How twins are made.
 
+    sensor : of the re-scan, with its range noise and share of lost pulses
+    flaws : amounts by name, in the order in which they are applied
+    n_others : largest number of other frames, the nearest in time, used for the model of a frame
+    seed : of noise, losses and flaws
+    settings : for reading and cleaning scans
+    """
+
+    sensor: SensorModel = RECORDED
+    flaws: Mapping[str, float] = field(default_factory=dict)
+    n_others: int = 4
+    seed: int = 0
+    settings: InputSettings = field(default_factory=InputSettings)
+
+    def rng(self, purpose: str) -> np.random.Generator:
+        """Random generator for a purpose, independent of all others."""
+        return np.random.default_rng([self.seed, *purpose.encode()])
+
+
+@dataclass(frozen=True)
+class _Task:
+    """One frame to be re-scanned; the other frames are sorted by distance in time."""
+
+    recipe: TwinRecipe
     frame: ScanPair
     others: tuple[ScanPair, ...]
     label_names: dict[int, str]
     out: Path
-    sensor: SensorModel
-    flaws: Mapping[str, float]
-    seed: int
-    settings: InputSettings
 
 
 def make_twins(
     recording: Dataset,
     out: Path,
     reporter: Reporter,
+    recipe: TwinRecipe,
     *,
-    sensor: SensorModel = RECORDED,
-    flaws: Mapping[str, float] | None = None,
-    n_others: int = 4,
     pattern: str | None = None,
-    seed: int = 0,
-    settings: InputSettings | None = None,
     workers: int = 1,
     replace: bool = False,
 ) -> tuple[int, dict[str, str]]:
@@ -71,13 +86,8 @@ def make_twins(
 
     Parameters
     ----------
-    sensor : of the re-scan, with its range noise and share of lost pulses
-    flaws : amounts by name, in the order in which they are applied
-    n_others : largest number of other frames, the nearest in time, used for the model of a frame
     pattern : only frames whose name matches (shell style) are re-scanned; all frames are used for
         models
-    seed : of noise, losses and flaws
-    settings : for reading and cleaning scans
     workers : processes; they affect only the time
     replace : allow a dataset of another recipe to be replaced
 
@@ -87,9 +97,8 @@ def make_twins(
         embreex is missing, no frame matches, or the folder holds something else than a dataset of
         this recipe.
     """
-    flaws = flaws or {}
-    settings = settings or InputSettings()
     require_ray_caster()
+    settings = recipe.settings
     if settings.real_frame != "ros":
         raise FidpipeError(
             f'input.real_frame: expected "ros", got "{settings.real_frame}": poses and beams of a '
@@ -102,15 +111,15 @@ def make_twins(
     for frame in recording.pairs:
         file = frame.scans["real"].file
         inputs.append([file.name, hash_file(file), frame.T_world_sensor])
-    recipe = {
+    content = {
         "version": RECIPE_VERSION,
         **library_versions(("fidpipe",)),
         "recording": str(recording.folder),
         "inputs_sha256": key_of(inputs),
-        "seed": seed,
-        "others": n_others,
-        "flaw": [{"name": name, "amount": amount} for name, amount in flaws.items()],
-        "sensor": vars(sensor),
+        "seed": recipe.seed,
+        "others": recipe.n_others,
+        "flaw": [{"name": name, "amount": amount} for name, amount in recipe.flaws.items()],
+        "sensor": vars(recipe.sensor),
         "input": settings.model_dump(mode="json", exclude_none=True),
         "libraries": library_versions(_LIBRARIES),
         "frames": [frame.pair_id for frame in frames],
@@ -119,7 +128,7 @@ def make_twins(
     pairs = []
     for frame in frames:
         distance = np.abs(np.arange(len(recording.pairs)) - recording.pairs.index(frame))
-        nearest = np.argsort(distance, kind="stable")[1 : n_others + 1]
+        nearest = np.argsort(distance, kind="stable")[1 : recipe.n_others + 1]
         others = tuple(recording.pairs[other] for other in nearest)
         scan = frame.scans["real"]
         pairs.append(
@@ -127,13 +136,13 @@ def make_twins(
                 pair_id=frame.pair_id,
                 real=scan.file.name,
                 sim=f"{scan.stem}.bin",
-                task=_Task(frame, others, names, out, sensor, flaws, seed, settings),
+                task=_Task(recipe, frame, others, names, out),
                 timestamp_s=frame.timestamp_s,
                 T_world_sensor=frame.T_world_sensor,
             )
         )
     return generate_dataset(
-        out, RECIPE, recipe, pairs, names, _write_twin, reporter, workers=workers, replace=replace
+        out, RECIPE, content, pairs, names, _write_twin, reporter, workers=workers, replace=replace
     )
 
 
@@ -178,16 +187,17 @@ def _rescan(task: _Task) -> tuple[FloatArray, FloatArray]:
             raise StageError(
                 f"expected at least {_LEAST_OTHERS} readable other scans for a model, got {len(others)}",
             )
-        rng = _rng(task, task.frame.pair_id)
-        if task.sensor.name == RECORDED.name:
+        recipe = task.recipe
+        rng = recipe.rng(task.frame.pair_id)
+        if recipe.sensor.name == RECORDED.name:
             directions = recorded_directions(scan, np.concatenate(others))
         else:
-            directions = fire(task.sensor, rng.uniform(0.0, 360.0))
-        points, intensity = rescan(voxels, directions, task.sensor, rng)
-        for name, amount in task.flaws.items():
+            directions = fire(recipe.sensor, rng.uniform(0.0, 360.0))
+        points, intensity = rescan(voxels, directions, recipe.sensor, rng)
+        for name, amount in recipe.flaws.items():
             flaw = FLAWS[name]
             purpose = name if flaw.is_systematic else f"{task.frame.pair_id}/{name}"
-            altered = flaw(points, amount, _rng(task, purpose))
+            altered = flaw(points, amount, recipe.rng(purpose))
             intensity = carried(points, intensity, altered)
             points = altered
     if not len(points):
@@ -199,13 +209,9 @@ def _rescan(task: _Task) -> tuple[FloatArray, FloatArray]:
 
 def _read(task: _Task, frame: ScanPair) -> tuple[FloatArray, FloatArray]:
     """The cleaned points of a frame and their intensity, NaN if unknown."""
-    scan = read_scan(frame.scans["real"], task.settings.columns_of("real"), task.label_names)
-    clean = clean_scan(scan.points, task.settings)
+    settings = task.recipe.settings
+    scan = read_scan(frame.scans["real"], settings.columns_of("real"), task.label_names)
+    clean = clean_scan(scan.points, settings)
     if scan.intensity is None:
         return clean.points, np.full(len(clean.points), np.nan)
     return clean.points, scan.intensity[clean.point_ids]
-
-
-def _rng(task: _Task, purpose: str) -> np.random.Generator:
-    """Random generator for a purpose, independent of all others."""
-    return np.random.default_rng([task.seed, *purpose.encode()])

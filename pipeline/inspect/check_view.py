@@ -13,11 +13,9 @@ from ...stages.sensor_description import sensor_lines
 from ..report.view import Answers, Note, Part, Table, View, count, items_of
 from ..report.views.answer_view import cause_items, unknown_words
 from ..results.causes import MOST_SHOWN, no_cause_words
-from .cause_checks import CauseCheck
 from .scan_checks import DatasetCheck
-from .side_checks import SensorCheck
 
-_IN_JSON = ("notes", "doubts", "warnings", "faults", "sensors", "causes")
+_IN_JSON = ("notes", "doubts", "warnings", "faults", "sensors", "causes", "unknown")
 
 
 def check_json(dataset: DatasetCheck) -> Any:
@@ -33,10 +31,10 @@ def check_json(dataset: DatasetCheck) -> Any:
 def check_view(dataset: DatasetCheck, run_command: str = "") -> View:
     """The pairs of a dataset with points, extents and dropped points, then warnings, errors and the next command."""
     n_pairs = len(dataset.pairs)
-    n_usable = n_pairs - len({text.split(":")[0] for text in dataset.faults})
+    n_usable = sum(not check.faults for check in dataset.pairs)
     view: list[Part] = [_pair_table(dataset), *_notes("error: ", dataset.doubts, "red")]
-    view += _sensor_lines(dataset.sensors)
-    view += _causes(dataset.causes)
+    view += _sensor_lines(dataset)
+    view += _causes(dataset)
     view += _notes("", dataset.notes)
     view += _notes("warning: ", dataset.warnings, "yellow")
     view += _notes("error: ", dataset.faults, "red")
@@ -78,23 +76,24 @@ def _notes(prefix: str, texts: Iterable[str], style: str = "") -> list[Note]:
     return [Note(f"{prefix}{text}", style) for text in texts]
 
 
-def _sensor_lines(sensors: SensorCheck) -> list[Note]:
-    """Sensors of both sides, and scans of other sensors."""
+def _sensor_lines(dataset: DatasetCheck) -> list[Note]:
+    """Sensors of both sides."""
     lines = []
-    if sensors.sides:
-        pairs = count(len(sensors.pair_ids), "pair")
-        lines.append(Note(f"Sensors (estimated from {pairs})", "bold"))
-    for side, sensor in sensors.sides.items():
+    if dataset.sensors:
+        n_pairs = sum(bool(check.samples) for check in dataset.pairs)
+        lines.append(Note(f"Sensors (estimated from {count(n_pairs, 'pair')})", "bold"))
+    for side, sensor in dataset.sensors.items():
         lines.append(Note(f"{SIDE_NAMES[side]} sensor"))
         lines += _notes("  ", sensor_lines(sensor))
-    return lines + _notes("warning: ", sensors.unlike, "yellow")
+    return lines
 
 
-def _causes(check: CauseCheck) -> View:
+def _causes(dataset: DatasetCheck) -> View:
     """The causes that a few pairs show."""
-    if not check.pair_ids:
+    n_pairs = sum(bool(check.amounts) for check in dataset.pairs)
+    if not n_pairs:
         return []
-    heading = Note(f"Seen in {count(len(check.pair_ids), 'pair')}", "bold")
-    items = cause_items(check.causes[:MOST_SHOWN]) or items_of(no_cause_words(check.unknown))
-    trust = items_of(*unknown_words(check.unknown))
+    heading = Note(f"Seen in {count(n_pairs, 'pair')}", "bold")
+    items = cause_items(dataset.causes[:MOST_SHOWN]) or items_of(no_cause_words(dataset.unknown))
+    trust = items_of(*unknown_words(dataset.unknown))
     return [heading, Answers([("Fix first", items), ("Trust", trust)])]

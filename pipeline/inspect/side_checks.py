@@ -1,4 +1,4 @@
-"""Checks of a side as a whole: sensor, late, standing still, nearly empty, ego-vehicle hits, times of points.
+"""Checks of a side as a whole: sensor, late, standing still, nearly empty, ego-vehicle hits.
 
 Based on a few scans: two stretches of five neighbouring pairs, a quarter into the dataset and
 before its last quarter.
@@ -7,8 +7,7 @@ before its last quarter.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import chain
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,18 +21,15 @@ from ...stages.inspect.sequence_checks import (
     SequenceScan,
     TimeOffset,
     find_ego_hits,
-    find_empty_side,
-    find_static_side,
     find_time_offset,
     is_moving,
+    is_nearly_empty,
+    is_static,
     moved_m,
 )
-from ...stages.inspect.stamps import check_stamps
 from ...stages.sensor_description import (
     SensorDescription,
-    beams_text,
     describe_sensor,
-    has_other_beams,
 )
 from ...stages.trust import SERIOUS
 from ..datasets.pairs import ScanPair
@@ -43,160 +39,153 @@ from ..results.overview import doubt_lines
 _STRETCH = 5
 
 
+def stretches_of(pairs: Sequence[ScanPair]) -> list[list[ScanPair]]:
+    """Two times a few neighbouring pairs, in order of time where it is known, else of their names."""
+    ordered = list(pairs)
+    if all(pair.timestamp_s is not None for pair in ordered):
+        ordered.sort(key=lambda pair: (pair.timestamp_s or 0.0, pair.pair_id))
+    if len(ordered) <= 2 * _STRETCH:
+        return [ordered]
+    first = len(ordered) // 4
+    second = max(first + _STRETCH, 3 * len(ordered) // 4 - _STRETCH)
+    return [ordered[start : start + _STRETCH] for start in (first, second)]
+
+
 @dataclass(frozen=True)
-class SensorCheck:
-    """Sensors of both sides.
+class SampledScan:
+    """A scan that is compared with others of its side and of the other side.
 
-    pair_ids : pairs whose scans were described
-    sides : by side, the most frequent sensor; a side none of whose files can be read is left out
-    unlike : one line for each scan whose sensor is not that of the other scans of its side
-    """
-
-    pair_ids: tuple[str, ...]
-    sides: dict[str, SensorDescription]
-    unlike: list[str]
-
-
-@dataclass
-class _SideScans:
-    """Sampled scans of a side, by pair.
-
+    sensor : from all its points; None if it has none
     points : clean, in the scan's own frame, z up
-    places : clean, in the real sensor's frame
-    notes : on the columns of its files
-    stamps : duration of the first scan that has times, and their problems
+    place : clean, in the real sensor's frame
+    notes : on the columns of its file, and from when to when it was measured
     """
 
-    sensors: dict[str, SensorDescription] = field(default_factory=dict)
-    points: dict[str, FloatArray] = field(default_factory=dict)
-    places: dict[str, SequenceScan] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    stamps: tuple[float, list[str]] | None = None
+    sensor: SensorDescription | None
+    points: FloatArray
+    place: SequenceScan
+    notes: tuple[str, ...]
 
 
-class SideSamples:
-    """Samples from the scans of a few pairs, and the checks of both sides with them.
+Samples = Mapping[str, Mapping[str, SampledScan]]  #: by side and pair
 
-    pairs : all of the dataset
+
+def sample_scan(
+    pair: ScanPair,
+    side: str,
+    scan: Scan,
+    sensor: SensorDescription | None,
+    settings: InputSettings,
+) -> SampledScan:
+    """What is compared of a scan; one that could not be read has no points.
+
+    Parameters
+    ----------
+    sensor : of the scan, if it was described already
     """
+    points = at_sensor(scan.points, side, settings)
+    if sensor is None and len(points):  # neither cleaned nor moved: beams are those of its frame
+        sensor = describe_sensor(points, scan.rings)
+    uncut = settings.model_copy(update={"include_box": None, "voxel_m": None})
+    clean = clean_scan(scan.points, uncut, frame=settings.frame_of(side)).points
+    T = transform_of(pair.motion(side))
+    placed = clean if T is None else clean @ T[:, :3].T + T[:, 3]
+    notes = scan.notes
+    if scan.times_s is not None and np.isfinite(scan.times_s).all():
+        notes = (*notes, f"{np.ptp(scan.times_s):.3g} s from first to last point")
+    return SampledScan(sensor, clean, SequenceScan(placed), notes)
 
-    def __init__(self, pairs: Sequence[ScanPair], settings: InputSettings) -> None:
-        self._settings = settings
-        self._stretches = _stretches(pairs)
-        self.pair_ids = {pair.pair_id for pair in chain(*self._stretches)}  # sampled pairs
-        self._sides = {side: _SideScans() for side in SIDES}
 
-    def add(
-        self, pair: ScanPair, scans: Mapping[str, Scan], sensors: Mapping[str, SensorDescription]
-    ) -> None:
-        """Add the samples of one of `pair_ids`; scans that could not be read have no points.
+def describe_sides(samples: Samples) -> dict[str, SensorDescription]:
+    """The sensor of each side: of its scan with the most points among those whose beams are recognised.
 
-        Parameters
-        ----------
-        sensors : by side, those that were described
-        """
-        uncut = self._settings.model_copy(update={"include_box": None, "voxel_m": None})
-        for side, scan in scans.items():
-            kept = self._sides[side]
-            kept.notes = scan.notes or kept.notes
-            # neither cleaned nor moved: beams are those of its frame
-            points = at_sensor(scan.points, side, self._settings)
-            if len(points):
-                kept.sensors[pair.pair_id] = sensors.get(side) or describe_sensor(
-                    points, scan.rings
-                )
-            if scan.times_s is not None and kept.stamps is None:
-                kept.stamps = check_stamps(scan.times_s, points)
-            clean = clean_scan(scan.points, uncut, frame=self._settings.frame_of(side)).points
-            kept.points[pair.pair_id] = clean
-            T = transform_of(pair.motion(side))
-            placed = clean if T is None else clean @ T[:, :3].T + T[:, 3]
-            kept.places[pair.pair_id] = SequenceScan(placed)
+    A side none of whose files can be read is left out.
+    """
+    sensors = {}
+    for side, scans in samples.items():
+        described = [scan.sensor for scan in scans.values() if scan.sensor]
+        if described:
+            sensors[side] = max(described, key=_is_telling)
+    return sensors
 
-    def sensors(self) -> SensorCheck:
-        """The sensors of both sides, and those that differ from the others of their side."""
-        sides = {}
-        unlike = []
-        pair_ids: set[str] = set()
-        for side, kept in self._sides.items():
-            if kept.sensors:
-                usual, lines = _unlike_others(kept.sensors)
-                sides[side] = kept.sensors[usual]
-                unlike += [f"{SIDE_NAMES[side]} scan of pair {line}" for line in lines]
-                pair_ids |= kept.sensors.keys()
-        return SensorCheck(tuple(sorted(pair_ids)), sides, unlike)
 
-    def doubts(self, *, serious: bool) -> list[str]:
-        """Doubts about the scans that make the check fail, or the others: one line for each side and kind."""
-        lines = []
-        for side, kept in self._sides.items():
-            texts = []
-            for sensor in kept.sensors.values():
-                texts += [
-                    text for need, text in sensor.doubts.items() if (need in SERIOUS) == serious
-                ]
-            lines += doubt_lines(side, texts, len(kept.sensors))
-        return lines
+def _is_telling(sensor: SensorDescription) -> tuple[bool, int]:
+    return bool(sensor.elevation_deg), sensor.n_points
 
-    def notes(self) -> list[str]:
-        """Notes on the columns of a side's files and on the times of its points, one line each."""
-        lines = []
-        for side, kept in self._sides.items():
-            notes = list(kept.notes)
-            if kept.stamps and not kept.stamps[1]:
-                notes.append(f"{kept.stamps[0]:.3g} s from first to last point")
-            lines += [f"{SIDE_NAMES[side]} scans: {note}" for note in notes]
-        return lines
 
-    def warnings(self, n_clean: Mapping[str, Sequence[int]]) -> list[str]:
-        """Warnings about a side as a whole, one line each.
+def sensor_doubts(samples: Samples, *, serious: bool) -> list[str]:
+    """Doubts about the scans that make the check fail, or the others: one line for each side and kind."""
+    lines = []
+    for side, scans in samples.items():
+        sensors = [scan.sensor for scan in scans.values() if scan.sensor]
+        texts = []
+        for sensor in sensors:
+            texts += [text for need, text in sensor.doubts.items() if (need in SERIOUS) == serious]
+        lines += doubt_lines(side, texts, len(sensors))
+    return lines
 
-        Parameters
-        ----------
-        n_clean : by side, points of each scan after cleaning, 0 of one that cannot be used
-        """
-        lines = []
-        for side, kept in self._sides.items():
-            if kept.stamps:
-                lines += [f"{SIDE_NAMES[side]} scans: {text}" for text in kept.stamps[1]]
-        counts = {side: np.array(n_clean[side], dtype=np.intp) for side in SIDES}
-        empty = find_empty_side(counts["real"], counts["sim"])
-        if empty is not None:
+
+def side_notes(samples: Samples) -> list[str]:
+    """Notes of the first scan of each side that has any, one line each."""
+    lines = []
+    for side, scans in samples.items():
+        notes = next((scan.notes for scan in scans.values() if scan.notes), ())
+        lines += [f"{SIDE_NAMES[side]} scans: {note}" for note in notes]
+    return lines
+
+
+def side_warnings(
+    samples: Samples,
+    n_clean: Mapping[str, Sequence[float]],
+    stretches: Sequence[Sequence[ScanPair]],
+    settings: InputSettings,
+) -> list[str]:
+    """Warnings about a side as a whole, one line each.
+
+    Parameters
+    ----------
+    n_clean : by side, points of each scan after cleaning, 0 of one that cannot be used
+    stretches : see `stretches_of`
+    """
+    n_points = {side: float(np.median(n_clean[side] or [np.nan])) for side in SIDES}
+    for side, other in (SIDES, SIDES[::-1]):
+        if is_nearly_empty(n_points[side], n_points[other]):
+            return [
+                f"the {SIDE_NAMES[side]} side is nearly empty: median of {n_points['real']:.0f} points "
+                f"real and {n_points['sim']:.0f} simulated, after cleaning; was the sensor on, are its "
+                "columns right?"
+            ]
+    sequences = {side: _sequences(samples, stretches, side) for side in SIDES}
+    moved = {side: moved_m(sequences[side]) for side in SIDES}
+    lines = []
+    for side, other in (SIDES, SIDES[::-1]):
+        if is_static(moved[side], moved[other]):
             lines.append(
-                f"the {SIDE_NAMES[empty]} side is nearly empty: median of "
-                f"{np.median(counts['real']):.0f} points real and {np.median(counts['sim']):.0f} "
-                "simulated, after cleaning; was the sensor on, are its columns right?"
-            )
-            return lines
-        sequences = {side: self._sequences(side) for side in SIDES}
-        moved = {side: moved_m(sequences[side]) for side in SIDES}
-        static = find_static_side(moved["real"], moved["sim"])
-        if static is not None:
-            other = "sim" if static == "real" else "real"
-            lines.append(
-                f"all {SIDE_NAMES[static]} scans are nearly identical: neighbouring ones are "
-                f"{moved[static]:.2f} m apart, {SIDE_NAMES[other]} ones {moved[other]:.2f} m; is one "
+                f"all {SIDE_NAMES[side]} scans are nearly identical: neighbouring ones are "
+                f"{moved[side]:.2f} m apart, {SIDE_NAMES[other]} ones {moved[other]:.2f} m; is one "
                 "scan written again and again?"
             )
-        elif offset := find_time_offset([*zip(*sequences.values(), strict=True)]):
-            lines.append(_offset_text(offset, self._stretches[0]))
-        for side, kept in self._sides.items():
-            if is_moving(moved[side]):
-                ground_m = float(np.median([place.ground_m for place in kept.places.values()]))
-                if hits := find_ego_hits(list(kept.points.values()), ground_m):
-                    lines.append(
-                        f"{SIDE_NAMES[side]} scans: {_ego_text(hits, side, self._settings)}"
-                    )
-        return lines
+    offset = find_time_offset([*zip(*sequences.values(), strict=True)])
+    if offset and not lines:
+        lines.append(_offset_text(offset, stretches[0]))
+    for side, scans in samples.items():
+        if is_moving(moved[side]):
+            ground_m = float(np.median([scan.place.ground_m for scan in scans.values()]))
+            if hits := find_ego_hits([scan.points for scan in scans.values()], ground_m):
+                lines.append(f"{SIDE_NAMES[side]} scans: {_ego_text(hits, side, settings)}")
+    return lines
 
-    def _sequences(self, side: str) -> list[list[SequenceScan]]:
-        """The scans of a side in each stretch, of the pairs that have both sides."""
-        has_both = set.intersection(*(set(kept.places) for kept in self._sides.values()))
-        places = self._sides[side].places
-        sequences = []
-        for pairs in self._stretches:
-            sequences.append([places[pair.pair_id] for pair in pairs if pair.pair_id in has_both])
-        return sequences
+
+def _sequences(
+    samples: Samples, stretches: Sequence[Sequence[ScanPair]], side: str
+) -> list[list[SequenceScan]]:
+    """The scans of a side in each stretch, of the pairs that have both sides."""
+    has_both = samples["real"].keys() & samples["sim"].keys()
+    sequences = []
+    for pairs in stretches:
+        names = [pair.pair_id for pair in pairs if pair.pair_id in has_both]
+        sequences.append([samples[side][name].place for name in names])
+    return sequences
 
 
 def _offset_text(offset: TimeOffset, pairs: Sequence[ScanPair]) -> str:
@@ -214,39 +203,6 @@ def _offset_text(offset: TimeOffset, pairs: Sequence[ScanPair]) -> str:
         f"pair {offset.frames:+d}, {offset.as_paired_m:.2f} m from their own; "
         "is fidpipe pair's --offset right, or is the simulated sensor mounted farther ahead or back?"
     )
-
-
-def _stretches(pairs: Sequence[ScanPair]) -> list[list[ScanPair]]:
-    """Neighbouring pairs, in order of time where it is known, else of their names."""
-    ordered = list(pairs)
-    if all(pair.timestamp_s is not None for pair in ordered):
-        ordered.sort(key=lambda pair: (pair.timestamp_s or 0.0, pair.pair_id))
-    if len(ordered) <= 2 * _STRETCH:
-        return [ordered]
-    first = len(ordered) // 4
-    second = max(first + _STRETCH, 3 * len(ordered) // 4 - _STRETCH)
-    return [ordered[start : start + _STRETCH] for start in (first, second)]
-
-
-def _unlike_others(sensors: Mapping[str, SensorDescription]) -> tuple[str, list[str]]:
-    """Name of the scan whose sensor is the most frequent, and one line for each scan with another sensor.
-
-    Parameters
-    ----------
-    sensors : by name of the scan, at least one
-    """
-    seen = {name: sensor for name, sensor in sensors.items() if sensor.elevation_deg} or sensors
-
-    def n_alike(name: str) -> tuple[int, int]:
-        others = [other for other in seen.values() if not has_other_beams(seen[name], other)]
-        return len(others), seen[name].n_points
-
-    usual = max(seen, key=n_alike)
-    lines = []
-    for name, sensor in seen.items():
-        if has_other_beams(seen[usual], sensor):
-            lines.append(f"{name}: {beams_text(sensor)}; others {beams_text(seen[usual])}")
-    return usual, lines
 
 
 def _ego_text(hits: EgoHits, side: str, settings: InputSettings) -> str:

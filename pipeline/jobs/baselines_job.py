@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...schemas.columns import Row
-from ...schemas.metric_catalogue import BASELINES
+from ...schemas.metric_catalogue import METRIC, scores_of
 from ...schemas.record import OF_OBJECTS, OF_SCAN
 from ...schemas.settings import Settings
 from ...stages.summary import mean_and_std
@@ -18,7 +18,6 @@ from ..stage import Grain, Inputs, JobResult, Stage
 from ..storage.table_files import JobRecord
 from .points_job import (
     MATCHED_OBJECTS,
-    NODE_COLUMNS,
     coordinates,
     kept_nodes,
     matched_objects,
@@ -67,16 +66,16 @@ def summarise_baselines(records: Iterable[JobRecord], settings: Settings) -> dic
         for mean in record.metadata["means"]:
             groups.setdefault((mean["level"], mean["baseline"]), []).append(mean)
     summary = []
-    for level, metric in product((OF_OBJECTS, OF_SCAN), BASELINES):
-        pairs = groups.get((level, metric.column))
+    for level, name in product((OF_OBJECTS, OF_SCAN), scores_of("baseline")):
+        pairs = groups.get((level, name))
         if not pairs:
             continue
         mean, std = mean_and_std(np.array([pair["mean"] for pair in pairs], dtype=np.float64))
         summary.append(
             {
-                "baseline": metric.column,
+                "baseline": name,
                 "level": level,
-                "unit": metric.unit,
+                "unit": METRIC[name].unit,
                 "mean": mean,
                 "std": std,
                 "n": sum(pair["n"] for pair in pairs),
@@ -86,10 +85,6 @@ def summarise_baselines(records: Iterable[JobRecord], settings: Settings) -> dic
     return {"baselines": summary}
 
 
-def _is_wanted(settings: Settings) -> bool:
-    return bool(settings.metrics.baselines)
-
-
 def _row(value: Baseline, real_id: int | None, sim_id: int | None) -> Row:
     ids = {"real_id": real_id, "sim_id": sim_id}
     return ids | {"baseline": value.name, "unit": value.unit} | vars(value)
@@ -97,35 +92,28 @@ def _row(value: Baseline, real_id: int | None, sim_id: int | None) -> Row:
 
 def _means(rows: list[Row]) -> list[Row]:
     """The pair's mean of each baseline over objects, and its value of the whole scan."""
-    groups: dict[tuple[str, str], list[Row]] = {}
+    groups: dict[tuple[str, str], list[float | None]] = {}
     for row in rows:
         level = OF_SCAN if row["real_id"] is None else OF_OBJECTS
-        groups.setdefault((level, row["baseline"]), []).append(row)
+        groups.setdefault((level, row["baseline"]), []).append(row["value"])
     means = []
-    for (level, name), alike in groups.items():
-        known = [row["value"] for row in alike if row["value"] is not None]
-        means.append(
-            {
-                "level": level,
-                "baseline": name,
-                "unit": alike[0]["unit"],
-                "mean": sum(known) / len(known) if known else None,
-                "n": len(known),
-                "n_null": len(alike) - len(known),
-            }
-        )
+    for (level, name), values in groups.items():
+        known = [value for value in values if value is not None]
+        mean = sum(known) / len(known) if known else None
+        counts = {"n": len(known), "n_null": len(values) - len(known)}
+        means.append({"level": level, "baseline": name, "mean": mean} | counts)
     return means
 
 
 STAGE = Stage(
     name="baselines",
-    takes={**MATCHED_OBJECTS, "selection": NODE_COLUMNS},
+    takes=(*MATCHED_OBJECTS, "selection"),
     gives=("baselines",),
     settings=("metrics",),
     grain=Grain.PAIR,
     version=4,
     make=make_baselines,
-    libraries=("POT", "small_gicp"),
-    is_wanted=_is_wanted,
+    libraries=("POT",),
+    is_wanted=lambda settings: bool(settings.metrics.baselines),
     summarise=summarise_baselines,
 )

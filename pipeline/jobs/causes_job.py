@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from ...schemas.columns import SIDES
 from ...stages.arrays import transform_of
 from ...stages.sensor_description import SensorDescription
 from ..stage import FRAMES, OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
-from .points_job import CUT_COLUMNS, cut_scan
+from .points_job import cut_scan, sensor_of
 
 if TYPE_CHECKING:
     from ...stages.causes.estimates import Amount
@@ -37,8 +36,7 @@ def make_causes(inputs: Inputs) -> JobResult:
         amounts = only_known(estimates.amounts | intensity_amounts(inputs), _doubts(inputs))
         distances["surface_distance_m"] = estimates.distance_m
         distances["surface_best_case_m"] = estimates.best_case_m
-        pose = asdict(estimates.pose)
-        pose["displacement"]["values"] = estimates.pose.displacement.values.tolist()
+        pose = estimates.pose
         unknown = Amount(None, reason="not estimated")
     rows = []
     for name, cause in CAUSES.items():
@@ -52,7 +50,7 @@ def _doubts(inputs: Inputs) -> dict[str, str]:
     from ...stages.frame_search import FrameCheck
     from ...stages.trust import FRAME
 
-    doubts = doubts_of(*(_sensor(inputs, side) for side in SIDES))
+    doubts = doubts_of(*(sensor_of(inputs, side) for side in SIDES))
     frames = inputs.metadata("sensor", "sim").get(FRAMES)
     if frames and (doubt := FrameCheck(**frames).doubt):
         doubts[FRAME] = doubt
@@ -69,7 +67,7 @@ def pair_scans(inputs: Inputs) -> PairScans:
         scan = cut_scan(inputs.table("ground", side))
         T_real_sim = transform_of(inputs.metadata("ground", side).get("T_real_sim"))
         position = settings.sensor_position
-        sensor = _sensor(inputs, side)
+        sensor = sensor_of(inputs, side)
         sides.append(recorded_side(scan, sensor, T_real_sim, position, settings.voxel_m))
     return PairScans(*sides)
 
@@ -88,10 +86,6 @@ def pose_of(metadata: dict[str, Any]) -> Pose | None:
         pose["elevation_scale"],
         SensorDescription(**pose["sensor"]),
     )
-
-
-def _sensor(inputs: Inputs, side: str) -> SensorDescription:
-    return SensorDescription(**inputs.metadata("sensor", side)["sensor"])
 
 
 def intensity_amounts(inputs: Inputs) -> dict[str, Amount]:
@@ -116,11 +110,11 @@ def intensity_amounts(inputs: Inputs) -> dict[str, Amount]:
 
 STAGE = Stage(
     name="causes",
-    takes={"ground": CUT_COLUMNS, "sensor": (), "rays": ()},
+    takes=("ground", "sensor", "rays"),
     gives=("causes",),
     settings=("input",),
     grain=Grain.PAIR,
     make=make_causes,
-    version=10,
+    version=11,
     libraries=("scikit-learn",),
 )

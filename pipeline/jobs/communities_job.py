@@ -16,11 +16,8 @@ from ...stages.reference import (
     find_reference_objects,
     visiting_order,
 )
-from ..stage import Columns, Grain, Inputs, JobResult, Stage
+from ..stage import Grain, Inputs, JobResult, Stage
 from .points_job import (
-    ANNOTATED_COLUMNS,
-    EDGE_COLUMNS,
-    POINT_COLUMNS,
     annotation_in,
     column,
     graph_edges,
@@ -78,15 +75,14 @@ def _columns(objects: Objects, community: IntArray, noted: Annotation) -> Row:
     return columns
 
 
-def _takes_real(settings: Settings) -> Columns:
-    if settings.communities.objects == "independent":
-        return {}
-    return {"ground": POINT_COLUMNS, "communities": ("community_id",)}
+def _takes_real(settings: Settings) -> tuple[str, ...]:
+    is_independent = settings.communities.objects == "independent"
+    return () if is_independent else ("ground", "communities")
 
 
 STAGE = Stage(
     name="communities",
-    takes={"ground": ANNOTATED_COLUMNS, "graph": EDGE_COLUMNS},
+    takes=("ground", "graph"),
     gives=("communities", "objects"),
     settings=("communities", "pieces"),
     grain=Grain.SIDE,

@@ -8,7 +8,9 @@ from ...schemas.columns import SIDES, Row
 from ...schemas.metric_catalogue import COVERAGE_REACHES
 from ...stages.coverage import Coverage, below_cut, cover, nearest_distances
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
-from .points_job import POINT_COLUMNS, column, object_points
+from .points_job import column, object_points
+
+_COVERED = [f"covered_{reach}" for reach in COVERAGE_REACHES]
 
 
 def make_coverage(inputs: Inputs) -> JobResult:
@@ -33,23 +35,12 @@ def make_coverage(inputs: Inputs) -> JobResult:
 
 
 def _columns(coverage: Coverage) -> Row:
-    columns: Row = {
-        "n_points": coverage.n_points,
-        "median_distance_m": coverage.median_distance_m,
-        "road_share": coverage.road_share,
-    }
-    for reach, share in zip(COVERAGE_REACHES, coverage.covered.T, strict=True):
-        columns[f"covered_{reach}"] = share
-    return columns
+    return vars(coverage) | dict(zip(_COVERED, coverage.covered.T, strict=True))
 
 
 STAGE = Stage(
     name="coverage",
-    takes={
-        "ground": POINT_COLUMNS,
-        "communities": ("community_id",),
-        "objects": ("n_points",),
-    },
+    takes=("ground", "communities", "objects"),
     gives=("coverage",),
     grain=Grain.PAIR,
     version=2,

@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...schemas.settings import Settings
 from ...stages.causes.gain import Shares, corrections, shares
 from ..stage import (
     AMOUNTS,
@@ -23,7 +22,6 @@ from ..stage import (
     Stage,
 )
 from .causes_job import pair_scans, pose_of
-from .points_job import CUT_COLUMNS
 
 SEED = 20240917  #: of corrections at random
 
@@ -36,17 +34,13 @@ def make_gains(inputs: Inputs) -> JobResult:
         return _result(inputs, Shares(0.0, 0.0, 0.0, {}))
     scans = pair_scans(inputs)
     rng = np.random.default_rng(SEED)
-    of_pair = _amounts_of_pair(inputs)
+    causes = inputs.table("causes")
+    of_pair = dict(zip(causes["cause"].to_pylist(), causes["amount"].to_pylist(), strict=True))
     with inputs.step("gains"):
         made = corrections(scans, pose, of_pair, amounts, rng)
         best_case_m = inputs.metadata("causes")[OF_PAIR]["surface_best_case_m"]
         gains = shares(scans, made, pose.displacement.seam_deg, rng, best_case_m)
     return _result(inputs, gains)
-
-
-def _amounts_of_pair(inputs: Inputs) -> dict[str, float | None]:
-    table = inputs.table("causes")
-    return dict(zip(table["cause"].to_pylist(), table["amount"].to_pylist(), strict=True))
 
 
 def _result(inputs: Inputs, gains: Shares) -> JobResult:
@@ -64,16 +58,12 @@ def gains_stage(amounts: dict[str, float]) -> Stage:
     return replace(STAGE, arguments=tuple(sorted(amounts.items())))
 
 
-def _is_wanted(settings: Settings) -> bool:
-    return False
-
-
 STAGE = Stage(
     name="gains",
-    takes={"ground": CUT_COLUMNS, "sensor": (), "causes": ("cause", "amount")},
+    takes=("ground", "sensor", "causes"),
     gives=("gains",),
     settings=("input",),
     grain=Grain.PAIR,
     make=make_gains,
-    is_wanted=_is_wanted,
+    is_wanted=lambda settings: False,
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ...stages.graph import build_graph
 from ..stage import Grain, Inputs, JobResult, Stage
-from .points_job import POINT_COLUMNS, object_points
+from .points_job import object_points
 
 
 def make_graph(inputs: Inputs) -> JobResult:
@@ -23,7 +23,7 @@ def make_graph(inputs: Inputs) -> JobResult:
 
 STAGE = Stage(
     name="graph",
-    takes={"ground": POINT_COLUMNS},
+    takes=("ground",),
     gives=("graph",),
     settings=("graph",),
     grain=Grain.SIDE,

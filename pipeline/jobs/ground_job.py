@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-
 import numpy as np
 import pyarrow as pa
 
@@ -19,14 +17,13 @@ from ..stage import (
     N_CLEAN,
     OF_PAIR,
     SCAN,
-    Columns,
     Grain,
     Inputs,
     JobResult,
     Metadata,
     Stage,
 )
-from .points_job import CUT_COLUMNS, cut_scan
+from .points_job import cut_scan
 
 _MEASURES = ("peak_m", "threshold_m", "loss", "iterations", "tilt_deg")
 
@@ -58,27 +55,17 @@ def make_ground(inputs: Inputs) -> JobResult:
     except StageError as error:
         raise StageError("; ".join((str(error), *inspection.warnings))) from error
     metadata = _metadata(inputs.part, scan, clean, cut)
-    metadata |= {INSPECTION: asdict(inspection), "T_real_sim": inputs.T_real_sim}
+    metadata |= {INSPECTION: inspection, "T_real_sim": inputs.T_real_sim}
     return JobResult({"ground": _rows(inputs, scan, clean, cut)}, metadata)
 
 
 def _rows(inputs: Inputs, scan: Scan, clean: CleanResult, cut: GroundResult) -> pa.Table:
     """The clean points with their ground flags."""
-    x, y, z = clean.points.T
-    return inputs.columns(
-        "ground",
-        {
-            "point_id": clean.point_ids,
-            "x": x,
-            "y": y,
-            "z": z,
-            "height_m": cut.height_m,
-            "is_ground": cut.is_ground,
-            "intensity": None if scan.intensity is None else scan.intensity[clean.point_ids],
-            "label": None if scan.labels is None else scan.labels[clean.point_ids].tolist(),
-            "instance": None if scan.instances is None else scan.instances[clean.point_ids],
-        },
-    )
+    ids = clean.point_ids
+    columns = vars(cut) | dict(zip("xyz", clean.points.T, strict=True)) | {"point_id": ids}
+    optional = {"intensity": scan.intensity, "label": scan.labels, "instance": scan.instances}
+    columns |= {name: values[ids] for name, values in optional.items() if values is not None}
+    return inputs.columns("ground", columns)
 
 
 def _metadata(side: str, scan: Scan, clean: CleanResult, cut: GroundResult) -> Metadata:
@@ -94,29 +81,24 @@ def _metadata(side: str, scan: Scan, clean: CleanResult, cut: GroundResult) -> M
     return counts | measures | others | {OF_PAIR: of_pair}
 
 
-def _takes_real(settings: Settings) -> Columns:
-    if settings.ground.shared:
-        return {"ground": ()}
-    return {"ground": CUT_COLUMNS} if settings.ground.peak == "real" else {}
+def _takes_real(settings: Settings) -> tuple[str, ...]:
+    return ("ground",) if settings.ground.shared or settings.ground.peak == "real" else ()
 
 
 def _real_side(inputs: Inputs) -> tuple[GroundResult | None, FloatArray | None]:
     """The real side's cut and its clean points, for the simulated side; None if it is cut without them."""
-    if ("ground", "real") not in inputs.outputs:
+    if ("ground", "real") not in inputs.tables:
         return None, None
     metadata = inputs.metadata("ground", "real")
     measures = {name: metadata[name] for name in _MEASURES}
-    axis = np.array(metadata["axis"])
-    if ("ground", "real") not in inputs.tables:
-        nothing = np.empty(0)
-        return GroundResult(nothing.astype(np.bool_), nothing, axis, **measures), None
     real = cut_scan(inputs.table("ground", "real"))
-    return GroundResult(real.is_ground, real.height_m, axis, **measures), real.points
+    cut = GroundResult(real.is_ground, real.height_m, np.array(metadata["axis"]), **measures)
+    return cut, real.points
 
 
 STAGE = Stage(
     name="ground",
-    takes={SCAN: ()},
+    takes=(SCAN,),
     gives=("ground",),
     settings=("input", "ground"),
     grain=Grain.SIDE,

@@ -50,7 +50,7 @@ def _centroids(objects: pa.Table) -> tuple[FloatArray, IntArray]:
 
 STAGE = Stage(
     name="matching",
-    takes={"objects": ("cx", "cy", "cz", "n_points")},
+    takes=("objects",),
     gives=("matching",),
     settings=("communities", "matching"),
     grain=Grain.PAIR,

@@ -14,7 +14,7 @@ from ...stages.arrays import FloatArray
 from ...stages.metrics import score_object
 from ...stages.summary import summarise_pair
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage, Tables
-from .points_job import MATCHED_OBJECTS, NODE_COLUMNS, column, kept_nodes, matched_objects
+from .points_job import MATCHED_OBJECTS, column, kept_nodes, matched_objects
 
 
 def make_metrics(inputs: Inputs) -> JobResult:
@@ -68,7 +68,7 @@ def pair_scores(
 
 STAGE = Stage(
     name="metrics",
-    takes={**MATCHED_OBJECTS, "objects": ("range_m",), "selection": NODE_COLUMNS},
+    takes=(*MATCHED_OBJECTS, "objects", "selection"),
     gives=("metrics",),
     grain=Grain.OBJECT,
     version=2,

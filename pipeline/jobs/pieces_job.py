@@ -9,7 +9,7 @@ from ...schemas.columns import SIDES, Row
 from ...stages.objects import majority_labels
 from ...stages.pieces import Pieces, count_pieces, find_pieces
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Stage
-from .points_job import CUT_COLUMNS, cut_scan, object_columns
+from .points_job import cut_scan, object_columns
 
 
 def make_pieces(inputs: Inputs) -> JobResult:
@@ -45,7 +45,7 @@ def _columns(pieces: Pieces) -> Row:
 
 STAGE = Stage(
     name="pieces",
-    takes={"ground": (*CUT_COLUMNS, "label")},
+    takes=("ground",),
     gives=("pieces",),
     settings=("pieces",),
     grain=Grain.PAIR,

@@ -15,21 +15,12 @@ from ...stages.objects import Objects
 from ...stages.pieces import CutScan
 from ...stages.reference import Annotation
 from ...stages.selection import Selection
+from ...stages.sensor_description import SensorDescription
 from ..stage import Inputs
 
-#: The columns that these functions read, for the declarations of stages that call them.
-POINT_COLUMNS = ("point_id", "x", "y", "z", "is_ground")
-ANNOTATED_COLUMNS = (*POINT_COLUMNS, "label", "instance")
-CUT_COLUMNS = ("x", "y", "z", "height_m", "is_ground")
-EDGE_COLUMNS = ("src", "dst", "length_m")
-MATCH_COLUMNS = ("real_id", "sim_id", "centroid_distance_m", "status")
-NODE_COLUMNS = ("real_id", "real_point_id", "sim_point_id", "real_influence", "sim_influence")
-MATCHED_OBJECTS = {
-    "ground": POINT_COLUMNS,
-    "graph": EDGE_COLUMNS,
-    "communities": ("community_id",),
-    "matching": MATCH_COLUMNS,
-}
+#: What `matched_objects` reads, for the declarations of stages that call it.
+MATCHED_OBJECTS = ("ground", "graph", "communities", "matching")
+_POINT_COLUMNS = ("point_id", "x", "y", "z", "is_ground")
 
 
 def column(table: pa.Table, name: str) -> Any:
@@ -90,6 +81,11 @@ def object_columns(objects: Objects) -> dict[str, Any]:
     return columns
 
 
+def sensor_of(inputs: Inputs, side: str) -> SensorDescription:
+    """The sensor of a side, as stage sensor describes it."""
+    return SensorDescription(**inputs.metadata("sensor", side)["sensor"])
+
+
 def cut_scan(ground: pa.Table) -> CutScan:
     """All clean points of a side, and which of them are ground."""
     return CutScan(coordinates(ground), column(ground, "is_ground"), column(ground, "height_m"))
@@ -97,7 +93,7 @@ def cut_scan(ground: pa.Table) -> CutScan:
 
 def points_in(ground: pa.Table) -> tuple[IntArray, FloatArray]:
     """See `object_points`."""
-    ground = ground.select(POINT_COLUMNS)
+    ground = ground.select(_POINT_COLUMNS)
     ground = ground.filter(pa.array(~column(ground, "is_ground")))
     return column(ground, "point_id"), coordinates(ground)
 

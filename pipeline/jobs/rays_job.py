@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from ...schemas.columns import SIDES, Row
-from ...schemas.metric_catalogue import INTENSITY_SCORES, RAY_SCORES
+from ...schemas.metric_catalogue import scores_of
 from ...stages.arrays import BoolArray, transform_of
 from ...stages.clean import seen_from
 from ...stages.intensity import score_intensity
@@ -22,63 +22,67 @@ from ...stages.rays import (
     find_rays,
     score_rays,
 )
-from ...stages.sensor_description import SensorDescription
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
-from .points_job import column, coordinates
+from .points_job import column, coordinates, sensor_of
 
 
 def make_rays(inputs: Inputs) -> JobResult:
-    """Pair the rays of both sides and score them."""
-    tables = [inputs.table("ground", side) for side in SIDES]
-    settings = inputs.settings.input
-    if settings.voxel_m is not None:
-        return _result(inputs, f"scans thinned by input.voxel_m={settings.voxel_m:g}", tables)
-    real, sim = map(coordinates, tables)
-    sensors = [SensorDescription(**inputs.metadata("sensor", side)["sensor"]) for side in SIDES]
-    moved = inputs.metadata("ground", "sim")["T_real_sim"]
-    T_real_sim = transform_of(moved)
-    position = settings.sensor_position
-    if position is not None:
-        real = real - position
-        sim = sim - position
-        T_real_sim = seen_from(position, T_real_sim)
-    with inputs.step("rays"):
-        rays = find_rays(real, sim, (sensors[0], sensors[1]), T_real_sim)
-    with inputs.step("intensity"):
-        return _result(inputs, rays, tables)
-
-
-def _result(inputs: Inputs, rays: Rays | str, ground: Sequence[pa.Table]) -> JobResult:
-    """One row per ray, and one of scores for each group of rays; empty tables if there is a reason instead of rays.
-
-    Parameters
-    ----------
-    ground : the table of each side, whose rows the returns are
-    """
-    of_pair: Metadata = {metric.column: None for metric in (*RAY_SCORES, *INTENSITY_SCORES)}
+    """Pair the rays of both sides and score them; empty tables and a reason if that is not possible."""
+    ground = [inputs.table("ground", side) for side in SIDES]
+    of_pair: Metadata = dict.fromkeys(scores_of("ray", "intensity"))
     of_pair |= {"rays_reason": None, "intensity_note": None}
+    with inputs.step("rays"):
+        rays = _rays(inputs, ground)
     if isinstance(rays, str):
         of_pair["rays_reason"] = rays
         tables = {name: inputs.rows(name, []) for name in ("rays", "ray_scores")}
         return JobResult(tables, {OF_PAIR: of_pair})
     table = inputs.columns("rays", _columns(rays, ground))
     label = table.column("label").combine_chunks()
+    scores = score_rays(rays)
+    of_pair |= scores
+    rows = [{"by": "all", "band": ""} | scores]
+    for by, band, is_in in _groups(rays, label):
+        row = {"by": by, "band": band} | score_rays(rays, is_in)
+        if by != "azimuth":  # which rays without any return do not have
+            row["rays_drop_f1"] = None
+        rows.append(row)
+    with inputs.step("intensity"):
+        of_pair |= _intensity_scores(inputs, rays, ground, label)
+    tables = {"rays": table, "ray_scores": inputs.rows("ray_scores", rows)}
+    return JobResult(tables, {OF_PAIR: of_pair})
+
+
+def _rays(inputs: Inputs, ground: Sequence[pa.Table]) -> Rays | str:
+    """The rays of both sides, or the reason why there are none.
+
+    Parameters
+    ----------
+    ground : the table of each side
+    """
+    settings = inputs.settings.input
+    if settings.voxel_m is not None:
+        return f"scans thinned by input.voxel_m={settings.voxel_m:g}"
+    real, sim = map(coordinates, ground)
+    T_real_sim = transform_of(inputs.metadata("ground", "sim")["T_real_sim"])
+    position = settings.sensor_position
+    if position is not None:
+        real = real - position
+        sim = sim - position
+        T_real_sim = seen_from(position, T_real_sim)
+    return find_rays(real, sim, (sensor_of(inputs, "real"), sensor_of(inputs, "sim")), T_real_sim)
+
+
+def _intensity_scores(
+    inputs: Inputs, rays: Rays, ground: Sequence[pa.Table], label: pa.Array
+) -> Metadata:
     intensity = []
     for points in ground:
         has_none = points["intensity"].null_count == len(points)
         intensity.append(None if has_none else column(points, "intensity"))
     classes = np.array(label.dictionary_encode().indices.fill_null(-1))
     one_scale = inputs.settings.input.intensity_scale == "same"
-    of_pair |= score_rays(rays)
-    of_pair |= score_intensity(rays, intensity, classes, has_one_scale=one_scale)
-    scores = []
-    for by, band, is_in in _groups(rays, label):
-        row = {"by": by, "band": band} | score_rays(rays, is_in)
-        if by in ("range", "incidence", "class"):  # which rays without any return do not have
-            row["rays_drop_f1"] = None
-        scores.append(row)
-    tables = {"rays": table, "ray_scores": inputs.rows("ray_scores", scores)}
-    return JobResult(tables, {OF_PAIR: of_pair})
+    return score_intensity(rays, intensity, classes, has_one_scale=one_scale)
 
 
 def _columns(rays: Rays, ground: Sequence[pa.Table]) -> Row:
@@ -91,15 +95,10 @@ def _columns(rays: Rays, ground: Sequence[pa.Table]) -> Row:
         returned = pa.array(rows, mask=rows < 0)
         ids.append(points.column("point_id").combine_chunks().take(returned))
         labels.append(points.column("label").combine_chunks().take(returned))
-    return {
-        "beam": rays.beam,
-        "column": rays.column,
+    return vars(rays) | {
         "real_point_id": ids[0],
         "sim_point_id": ids[1],
-        "real_range_m": rays.real_range_m,
-        "sim_range_m": rays.sim_range_m,
         "outcome": pa.array(OUTCOMES).take(pa.array(rays.outcome)),
-        "incidence_deg": rays.incidence_deg,
         "label": pc.if_else(pa.array(rays.real_row >= 0), *labels).cast(pa.string()),
     }
 
@@ -108,7 +107,6 @@ def _groups(rays: Rays, label: pa.Array) -> Iterator[tuple[str, str, BoolArray]]
     """Kind and name of each group of rays that has any, and which rays it has."""
     import pyarrow.compute as pc
 
-    yield "all", "", np.ones(len(rays.beam), dtype=np.bool_)
     range_m = np.where(np.isnan(rays.real_range_m), rays.sim_range_m, rays.real_range_m)
     for by, values, edges, unit in (
         ("range", range_m, (*RANGE_EDGES_M, np.inf), "m"),
@@ -127,7 +125,7 @@ def _groups(rays: Rays, label: pa.Array) -> Iterator[tuple[str, str, BoolArray]]
 STAGE = Stage(
     name="rays",
     version=3,
-    takes={"ground": ("point_id", "x", "y", "z", "intensity", "label"), "sensor": ()},
+    takes=("ground", "sensor"),
     gives=("rays", "ray_scores"),
     settings=("input",),
     grain=Grain.PAIR,

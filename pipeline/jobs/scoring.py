@@ -20,8 +20,7 @@ from . import (
 
 #: The stages that partition a side.
 PARTITION = (ground_job.STAGE, graph_job.STAGE, communities_job.STAGE)
-MATCHING = (*PARTITION, matching_job.STAGE)
-SCORING = (*MATCHING, selection_job.STAGE, metrics_job.STAGE)
+SCORING = (*PARTITION, matching_job.STAGE, selection_job.STAGE, metrics_job.STAGE)
 
 
 def score_pair(settings: Settings, tables: PairTables) -> Metadata:

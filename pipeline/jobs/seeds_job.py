@@ -16,11 +16,9 @@ from ...schemas.columns import SIDES
 from ...schemas.metric_catalogue import SEEDED_SCORES
 from ...schemas.settings import Settings
 from ...stages.statistics.spread import spread
-from ...stages.summary import mean_and_std
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
 from ..storage.table_files import JobRecord
 from . import communities_job
-from .points_job import ANNOTATED_COLUMNS, EDGE_COLUMNS
 from .scoring import score_pair
 
 
@@ -44,36 +42,25 @@ def make_seeds(inputs: Inputs) -> JobResult:
 
 
 def summarise_seeds(records: Iterable[JobRecord], settings: Settings) -> dict[str, Any]:
-    """Spread of each score over seeds and over pairs; mean and standard deviation of each pair over seeds."""
-    of_pairs = {record.pair_id: record.metadata["scores"] for record in records}
+    """Spread of each score over seeds and over pairs."""
+    pairs = [record.metadata["scores"] for record in records]
     dataset = {}
-    pairs: dict[str, Any] = {pair_id: {} for pair_id in sorted(of_pairs)}
     for name in SEEDED_SCORES:
-        values = {
-            pair_id: np.array(scores[name], dtype=np.float64)
-            for pair_id, scores in of_pairs.items()
-        }
-        dataset[name] = vars(spread(np.array(list(values.values()))))
-        for pair_id, of_seeds in values.items():
-            mean, std = mean_and_std(of_seeds)
-            pairs[pair_id][name] = {"mean": mean, "std": std}
-    counts = {"n_seeds": settings.stability.seeds, "n_pairs": len(of_pairs)}
-    return {"seeds": counts | {"dataset": dataset, "pairs": pairs}}
-
-
-def _is_wanted(settings: Settings) -> bool:
-    return settings.stability.seeds > 1
+        values = np.array([scores[name] for scores in pairs], dtype=np.float64)
+        dataset[name] = vars(spread(values))
+    counts = {"n_seeds": settings.stability.seeds, "n_pairs": len(pairs)}
+    return {"seeds": counts | {"dataset": dataset}}
 
 
 STAGE = Stage(
     name="seeds",
-    takes={"ground": ANNOTATED_COLUMNS, "graph": EDGE_COLUMNS, "metrics": ()},
+    takes=("ground", "graph", "metrics"),
     gives=("seeds",),
     settings=("communities", "matching", "pieces", "selection", "stability"),
     grain=Grain.PAIR,
     version=2,
     make=make_seeds,
     libraries=(*communities_job.STAGE.libraries, "POT"),
-    is_wanted=_is_wanted,
+    is_wanted=lambda settings: settings.stability.seeds > 1,
     summarise=summarise_seeds,
 )

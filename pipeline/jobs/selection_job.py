@@ -14,12 +14,10 @@ def make_selection(inputs: Inputs) -> JobResult:
     parts = []
     for match, real, sim in matched_objects(inputs):
         kept = select_nodes(real, sim, inputs.settings.selection, watch=inputs.step)
-        columns = {
+        columns = vars(kept) | {
             "rank": np.arange(len(kept.real_nodes), dtype=np.int32),
             "real_point_id": real.point_ids[kept.real_nodes],
             "sim_point_id": sim.point_ids[kept.sim_nodes],
-            "real_influence": kept.real_influence,
-            "sim_influence": kept.sim_influence,
         }
         parts.append(columns | {name: match[name] for name in ("real_id", "sim_id")})
     return JobResult({"selection": inputs.columns("selection", *parts)})

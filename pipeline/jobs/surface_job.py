@@ -8,7 +8,7 @@ from ...schemas.columns import Row
 from ...schemas.metric_catalogue import SHIFT_COLUMNS
 from ...stages.surface import Offsets, compare_roughness, describe_surface, measure_offsets
 from ..stage import OF_PAIR, Grain, Inputs, JobResult, Stage
-from .points_job import POINT_COLUMNS, column, object_points
+from .points_job import column, object_points
 
 
 def make_surface(inputs: Inputs) -> JobResult:
@@ -31,16 +31,12 @@ def make_surface(inputs: Inputs) -> JobResult:
 
 def _columns(offsets: Offsets) -> Row:
     shifts = zip(SHIFT_COLUMNS, (*offsets.shift_m.T, offsets.distance_m), strict=True)
-    return {
-        "n_points": offsets.n_points,
-        "n_directions": offsets.n_directions,
-        **dict(shifts),
-    }
+    return vars(offsets) | dict(shifts)
 
 
 STAGE = Stage(
     name="surface",
-    takes={"ground": POINT_COLUMNS, "communities": ("community_id",)},
+    takes=("ground", "communities"),
     gives=("surface",),
     grain=Grain.PAIR,
     make=make_surface,

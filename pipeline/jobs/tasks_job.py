@@ -10,7 +10,7 @@ import numpy as np
 
 from ...schemas.columns import Row
 from ...schemas.settings import Settings
-from ...stages.arrays import IndexArray, IntArray
+from ...stages.objects import majority_labels
 from ...stages.pieces import CutScan
 from ...stages.summary import mean_and_std
 from ...stages.tasks import (
@@ -24,7 +24,7 @@ from ...stages.tasks import (
 )
 from ..stage import Grain, Inputs, JobResult, Stage
 from ..storage.table_files import JobRecord
-from .points_job import CUT_COLUMNS, column, cut_scan
+from .points_job import column, cut_scan
 
 _WITHOUT_PARTNER = {"real": "lost", "sim": "added"}
 _TASKS = {
@@ -77,13 +77,14 @@ def summarise_tasks(records: Iterable[JobRecord], settings: Settings) -> dict[st
 def _obstacle_columns(inputs: Inputs, side: str, scan: CutScan, obstacles: Obstacles) -> Row:
     """The obstacles of a side within range."""
     communities = column(inputs.table("communities", side), "community_id")
-    community_of = _communities(obstacles.labels[~scan.is_ground], communities)
+    labels = obstacles.labels[~scan.is_ground].astype(np.int32)
+    community_of = majority_labels(labels, communities.tolist(), len(obstacles.n_points))
     rows = np.flatnonzero(obstacles.range_m <= inputs.settings.tasks.range_m)
     partner = obstacles.partner[rows]
     columns = {
         "side": side,
         "obstacle_id": rows,
-        "community_id": community_of[rows],
+        "community_id": [community_of[row] for row in rows],
         "n_points": obstacles.n_points[rows],
         "range_m": obstacles.range_m[rows],
         "fate": np.where(partner >= 0, "found", _WITHOUT_PARTNER[side]),
@@ -96,31 +97,14 @@ def _obstacle_columns(inputs: Inputs, side: str, scan: CutScan, obstacles: Obsta
     return columns
 
 
-def _communities(labels: IndexArray, communities: IntArray) -> IndexArray:
-    """The object that has the most points of each obstacle; of equals the one of smaller id.
-
-    Parameters
-    ----------
-    labels, communities : (n,) obstacle (-1 for none) and object of each object point
-    """
-    import pandas as pd
-
-    rows = pd.Series(communities[labels >= 0]).groupby(labels[labels >= 0])
-    return rows.agg(lambda ids: ids.mode()[0]).to_numpy(np.intp)
-
-
-def _is_wanted(settings: Settings) -> bool:
-    return bool(settings.tasks.names)
-
-
 STAGE = Stage(
     name="tasks",
-    takes={"ground": CUT_COLUMNS, "communities": ("community_id",)},
+    takes=("ground", "communities"),
     gives=("tasks", "task_objects"),
     settings=("tasks",),
     grain=Grain.PAIR,
     make=make_tasks,
     libraries=("scikit-learn",),
-    is_wanted=_is_wanted,
+    is_wanted=lambda settings: bool(settings.tasks.names),
     summarise=summarise_tasks,
 )

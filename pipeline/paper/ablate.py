@@ -6,26 +6,23 @@ One parameter is varied at a time around the current settings. The paper states 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pandas as pd
-import pyarrow as pa
 from pydantic import BaseModel
 
 from ...schemas.columns import SIDES, Row
 from ...schemas.errors import SettingsError
 from ...schemas.metric_catalogue import DATASET_SCORES, OBJECT_METRICS
 from ...schemas.settings import Settings, parse
-from ...schemas.tables import TABLES
 from ..datasets.readers.scan_ref import scan_ref
 from ..engine.progress import Reporter
-from ..engine.worker import PairTables, run_in_memory
+from ..engine.worker import run_in_memory
 from ..jobs import ground_job
-from ..jobs.metrics_job import pair_scores
-from ..jobs.scoring import MATCHING, PARTITION, SCORING
+from ..jobs.scoring import PARTITION, score_pair
 from ..run import select_pairs
 from ..stage import Inputs, JobResult
 from .experiment import (
@@ -74,39 +71,21 @@ _SUMMARY = (
 
 
 def make_ablation(inputs: Inputs) -> JobResult:
-    """One row of `ablate` per parameter set.
-
-    Graphs and communities of both sides are computed once for each k and tau; an object that is
-    matched under several delta is scored once for each t.
-    """
+    """One row of `ablate` per parameter set; graphs and communities are computed once for each k and tau."""
     settings = settings_of(inputs.settings)
-    ground, metadata = run_stages(inputs, [ground_job.STAGE], SIDES)
+    ground = run_stages(inputs, [ground_job.STAGE], SIDES)
     rows: list[Row] = []
     request = inputs.settings.ablate  # type: ignore[attr-defined]
     sets = parameter_sets(current(settings), dict(request))
-    for _, group in groupby(sets, lambda parameters: (parameters.k, parameters.tau_m)):
-        rows += _rows_of_graph(list(group), settings, ground)
-    return JobResult({"ablate": inputs.rows("ablate", rows)}, metadata)
-
-
-def _rows_of_graph(
-    sets: list[ParameterSet], settings: Settings, ground: PairTables
-) -> Iterator[Row]:
-    """The rows of parameter sets with the same k and tau."""
-    tables, _ = run_in_memory(PARTITION, with_parameters(settings, sets[0]), tables=ground)
-    objects = {side: tables["objects", side] for side in SIDES}
-    ids = ["real_id", "sim_id"]
-    scored = dict.fromkeys((chosen.t for chosen in sets), TABLES["metrics"].schema.empty_table())
-    for chosen in sets:
-        used = with_parameters(settings, chosen)
-        matched, _ = run_in_memory(MATCHING, used, tables=tables)
-        matching = matched["matching", ""]
-        new = matching.join(scored[chosen.t], ids, join_type="left anti").sort_by("real_id")
-        added, _ = run_in_memory(SCORING, used, tables=matched | {("matching", ""): new})
-        scored[chosen.t] = pa.concat_tables([scored[chosen.t], added["metrics", ""]])
-        metrics = scored[chosen.t].join(matching, ids, join_type="left semi").sort_by("real_id")
-        summary = pair_scores(metrics, matching, objects)
-        yield chosen._asdict() | {name: summary[name] for name in _SUMMARY}
+    for _, of_graph in groupby(sets, lambda parameters: (parameters.k, parameters.tau_m)):
+        tables = None
+        for parameters in of_graph:
+            used = with_parameters(settings, parameters)
+            if tables is None:
+                tables, _ = run_in_memory(PARTITION, used, tables=ground)
+            summary = score_pair(used, tables)
+            rows.append(parameters._asdict() | {name: summary[name] for name in _SUMMARY})
+    return JobResult({"ablate": inputs.rows("ablate", rows)})
 
 
 STAGE = experiment_stage("ablate", 4, ("ablate",), make_ablation)

@@ -21,7 +21,6 @@ from ...schemas.errors import ScanError
 from ...schemas.record import RunHeader
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
-from ...stages.plausibility import ScanInspection
 from ...stages.summary import mean_and_std
 from ..datasets.pairs import Dataset, ScanPair, read_dataset, read_label_names
 from ..datasets.readers.scan_ref import scan_ref
@@ -29,10 +28,9 @@ from ..engine.engine import Machines
 from ..engine.progress import Reporter
 from ..engine.worker import PairTables, run_in_memory
 from ..jobs import STAGES, baselines_job
-from ..pair_checks import pair_warnings
 from ..run import Run
 from ..run_tables import records_of
-from ..stage import INSPECTION, SCAN, Grain, Inputs, JobResult, Metadata, Stage
+from ..stage import SCAN, Grain, Inputs, JobResult, Metadata, Stage
 from ..storage.files import key_of
 from ..storage.folder import RunFolder, check_folder
 from ..storage.run_record import write_record
@@ -40,7 +38,6 @@ from ..storage.table_files import JobRecord
 
 #: From the tables of all pairs by name, frames with a row per score and its `value`.
 Scores = Callable[[Mapping[str, pd.DataFrame]], list[pd.DataFrame]]
-_INSPECTIONS = "inspections"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +77,7 @@ def experiment_stage(
     groups = [group for group in Settings.model_fields if group != "machine"]
     return Stage(
         name=name,
-        takes={SCAN: ()},
+        takes=(SCAN,),
         gives=tables,
         settings=(*groups, name),
         grain=Grain.PAIR,
@@ -97,15 +94,11 @@ def settings_of(settings: Settings) -> Settings:
     return Settings(**{name: groups[name] for name in groups if name in Settings.model_fields})
 
 
-def run_stages(
-    inputs: Inputs, stages: Sequence[Stage], sides: Sequence[str]
-) -> tuple[PairTables, Metadata]:
-    """Tables of stages on some sides of a pair, in memory, and the inspection of its scans."""
+def run_stages(inputs: Inputs, stages: Sequence[Stage], sides: Sequence[str]) -> PairTables:
+    """Tables of stages on some sides of a pair, in memory."""
     scans = {side: inputs.scans[side]() for side in sides}
-    settings = settings_of(inputs.settings)
     pair = ScanPair(inputs.pair_id, None, None, T_real_sim=inputs.T_real_sim)
-    tables, outputs = run_in_memory(stages, settings, pair=pair, scans=scans)
-    return tables, {_INSPECTIONS: {side: outputs["ground", side][INSPECTION] for side in sides}}
+    return run_in_memory(stages, settings_of(inputs.settings), pair=pair, scans=scans)[0]
 
 
 def read_source(path: Path) -> Dataset:
@@ -162,11 +155,8 @@ def run_experiment(
     with folder.locked():
         run = _ExperimentRun(source, names, folder, (stage,), settings, reporter)
         run.survey_results(replace=replace_finished)
-        machines = Machines(n_workers)
-        with run.started_pool(machines) as pool:
-            run.replace_stale()
-            if run.survey.todo:
-                run.schedule(pool, machines).run()
+        with run.schedule(Machines(n_workers)) as schedule:
+            schedule.run()
         failures = run.collector.failures
         if failures and scan_ref(source.folder).exists:
             raise ScanError("; ".join(failures.values()))
@@ -174,10 +164,6 @@ def run_experiment(
         tables = _write_tables(stage, folder, records, scores)
         metadata = {record.pair_id: record.metadata for record in records}
         run.write_results(metadata)
-    for pair in source.pairs:
-        inspections = metadata.get(pair.pair_id, {}).get(_INSPECTIONS, {})
-        sides = {side: ScanInspection(**values) for side, values in inspections.items()}
-        reporter.warn(*pair_warnings(pair, sides, None))
     return ExperimentOutcome(
         folder=out,
         settings=settings,
@@ -190,7 +176,7 @@ def run_experiment(
 
 
 class _ExperimentRun(Run):
-    """A run of the stage of an experiment, whose record says how each scan was read."""
+    """A run of the stage of an experiment, whose record has the metadata of each pair."""
 
     @property
     def title(self) -> str:
@@ -208,7 +194,7 @@ class _ExperimentRun(Run):
         """Write settings that a run can take, and the record."""
         content = {"experiment": self.stages[0].name, **record.as_dict(), **results}
         settings = settings_of(self.settings)
-        write_record(self.folder.folder, settings, content, self.folder.check_token)
+        write_record(self.folder, settings, content)
 
 
 def _write_tables(

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple
 from itertools import cycle
 from math import isnan
-from typing import Any, NamedTuple
+from typing import Any
 
 import pandas as pd
 
@@ -36,19 +36,6 @@ _AXES = {
 _COLOURS = (GREEN, VERMILION, ORANGE, BLUE, PURPLE, SKY)
 
 
-class Sweep(NamedTuple):
-    """A column of panels of a figure.
-
-    axis : label of the horizontal axis
-    means : one row per curve, amount and metric: curve, amount, metric, mean, std
-    current : amount to mark; None for no mark
-    """
-
-    axis: str
-    means: pd.DataFrame
-    current: float | None = None
-
-
 def show_perturbations(outcome: ExperimentOutcome) -> View:
     """Scores of the whole scan (the paper's Table I) and of objects; the figure is written."""
     levels = outcome.settings.perturb.levels  # type: ignore[attr-defined]
@@ -65,12 +52,8 @@ def show_perturbations(outcome: ExperimentOutcome) -> View:
         parts.append(_table(title, whole, ("level", names), ("metric", headings)))
     if len(single):
         parts += _object_tables(outcome, single, names)
-    sweeps = []
-    for kind, axis in _AXES.items():
-        of_kind = single[single["kind"] == kind]
-        if len(of_kind):
-            sweeps.append(Sweep(axis, of_kind))
-    _draw(outcome, "perturb", f"{shown_name(scans)}, altered", sweeps, ("r_lambda", "r_gap"))
+    drawn = single.assign(axis=single["kind"].map(_AXES)).dropna(subset="axis")
+    _draw(outcome, "perturb", f"{shown_name(scans)}, altered", drawn, ("r_lambda", "r_gap"))
     return [*parts, *_last_lines(outcome, "perturb")]
 
 
@@ -84,7 +67,7 @@ def _object_tables(
     columns = ("object", "scan", "id", "points", "range (m)")
     fields = ("name", "pair_id", "community_id", "n_points", "range_m")
     rows = columns_of(chosen, fields)
-    tables = [Table("The chosen objects", columns, rows, words=(0, 1), digits={4: 1})]
+    tables = [Table("The chosen objects", columns, rows, words=(0, 1))]
     names = {values["name"]: values["name"] for values in chosen}
     for metric in ("r_lambda", "r_gap"):
         title = f"{metric} of single objects ({METRIC[metric].scale}): mean ± std"
@@ -96,7 +79,7 @@ def _object_tables(
 def show_ablation(outcome: ExperimentOutcome) -> View:
     """A table for each parameter, of means with current values of the others; the figure is written."""
     parts: list[Note | Table] = []
-    sweeps = []
+    drawn = []
     n_pairs = count(len(outcome.metadata), "pair")
     headings = dict(zip(_ABLATED_SCORES, narrow_labels(_ABLATED_SCORES), strict=True))
     for name, value in current(outcome.settings)._asdict().items():
@@ -107,12 +90,13 @@ def show_ablation(outcome: ExperimentOutcome) -> View:
         names = {amount: f"{'*' if amount == value else ''}{amount:g}" for amount in amounts}
         title = f"{PARAMETERS[name]}.{name}: mean ± std over {n_pairs}, * current"
         parts.append(_table(title, means, (name, names), ("metric", headings)))
-        renamed = means.rename(columns={name: "amount"}).assign(curve="mean over pairs")
-        sweeps.append(Sweep(name, renamed, value))
+        renamed = means.rename(columns={name: "amount"})
+        drawn.append(renamed.assign(axis=name, curve="mean over pairs", current=value))
     if parts:
         text = "A small r_lambda can also result from a poor alignment (a large change)."
         parts.append(Note(f"{text}\n"))
-    _draw(outcome, "ablate", f"{n_pairs}; dashed: current", sweeps, ("match_rate", "r_lambda_mean"))
+        title = f"{n_pairs}; dashed: current"
+        _draw(outcome, "ablate", title, pd.concat(drawn), ("match_rate", "r_lambda_mean"))
     return [*parts, *_last_lines(outcome, "ablate")]
 
 
@@ -159,33 +143,36 @@ def _spread(mean: float, std: float) -> str:
 
 
 def _draw(
-    outcome: ExperimentOutcome,
-    name: str,
-    title: str,
-    sweeps: list[Sweep],
-    metrics: Iterable[str],
+    outcome: ExperimentOutcome, name: str, title: str, means: pd.DataFrame, metrics: Sequence[str]
 ) -> None:
-    """Write `NAME.png` with a row of panels for each metric; nothing without sweeps."""
-    if not sweeps:
+    """Write `NAME.png` with a row of panels for each metric; nothing without means.
+
+    Parameters
+    ----------
+    means : axis (a column of panels), curve, amount, metric, mean, std, and perhaps the current amount
+    """
+    if means.empty:
         return
+    colours = dict(zip(sorted(set(means["curve"])), cycle(_COLOURS), strict=False))
+    labels = means["axis"].unique()
     title = f"{title}; bars: one standard deviation"
-    curves = sorted({str(name) for sweep in sweeps for name in sweep.means["curve"]})
-    colours = dict(zip(curves, cycle(_COLOURS), strict=False))
-    with new_figure(2.75 * max(len(sweeps), 2), 5.2, title) as figure:
-        axes = figure.subplots(2, len(sweeps), sharey="row", squeeze=False)
+    with new_figure(2.75 * max(len(labels), 2), 5.2, title) as figure:
+        axes = figure.subplots(2, len(labels), sharey="row", squeeze=False)
         for metric, row in zip(metrics, axes, strict=True):
-            for sweep, axis in zip(sweeps, row, strict=True):
-                _draw_panel(axis, sweep, metric, colours)
+            known = means[means["metric"] == metric].dropna(subset="mean")
+            for label, axis in zip(labels, row, strict=True):
+                axis.set_xlabel(label.replace(", ", "\n"))
+                if label in set(known["axis"]):
+                    draw_panel(axis, known[known["axis"] == label], colours)
             row[0].set(ylabel=metric.removesuffix("_mean"), ylim=(0, None))
         handles = axes[0, 0].get_legend_handles_labels()
         figure.legend(*handles, loc="outside lower center", ncols=len(_COLOURS))
         figure.savefig(outcome.folder / f"{name}.png", dpi=120)
 
 
-def _draw_panel(axis: Any, sweep: Sweep, metric: str, colours: Mapping[str, str]) -> None:
-    """Mean and deviation of one metric along one sweep, each curve in its colour."""
-    known = sweep.means[sweep.means["metric"] == metric].dropna(subset="mean")
-    for name, curve in known.sort_values("amount").groupby("curve"):
+def draw_panel(axis: Any, means: pd.DataFrame, colours: Mapping[str, str]) -> None:
+    """Mean and deviation by amount, each curve in its colour."""
+    for name, curve in means.sort_values("amount").groupby("curve"):
         axis.errorbar(
             curve["amount"],
             curve["mean"],
@@ -195,11 +182,10 @@ def _draw_panel(axis: Any, sweep: Sweep, metric: str, colours: Mapping[str, str]
             label=shown_name(str(name)),
             color=colours[str(name)],
         )
-    amounts = sorted(known["amount"].unique())
-    if amounts and amounts[-1] > 10 * amounts[0] > 0:
+    amounts = sorted(set(means["amount"]))
+    if amounts[-1] > 10 * amounts[0] > 0:
         axis.set_xscale("log")
         axis.set_xticks(amounts, labels=[f"{amount:g}" for amount in amounts])
         axis.minorticks_off()
-    if sweep.current is not None:
-        axis.axvline(sweep.current, color="black", linewidth=0.8, linestyle="--", zorder=0)
-    axis.set_xlabel(sweep.axis.replace(", ", "\n"))
+    if "current" in means:
+        axis.axvline(means["current"].iloc[0], color="black", linewidth=0.8, linestyle="--")

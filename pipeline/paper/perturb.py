@@ -11,16 +11,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import astuple, replace
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from pydantic import BaseModel
 
 from ...schemas.columns import Row
-from ...schemas.errors import DatasetError, SettingsError
+from ...schemas.errors import SettingsError
 from ...schemas.metric_catalogue import DATASET_SCORES, OBJECT_METRICS
 from ...schemas.settings import Settings
-from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray
 from ...stages.baselines import compare_points
 from ...stages.generate.flaws import FLAWS, KINDS, Perturbation, perturb
@@ -33,6 +33,7 @@ from ..engine.progress import Reporter
 from ..engine.worker import PairTables
 from ..jobs.points_job import column, points_in
 from ..jobs.scoring import PARTITION, ground_table, score_pair
+from ..results.object_frame import SHAPES
 from ..run import select_pairs
 from ..stage import Inputs, JobResult
 from ..storage.files import key_of
@@ -44,7 +45,6 @@ from .experiment import (
     run_stages,
     settings_of,
 )
-from .perturb_objects import choose_objects, objects_in
 
 #: Amounts by kind. Noise, dropout and rigid motion are those of the paper; hallucination and density are ours. `null`
 #: is the difference of a scan from itself without a change, the first row of every table: one point less, rows in
@@ -57,6 +57,11 @@ AMOUNTS = {
     "hallucination": "0.05,0.2,0.4",
     "density": "0.25,0.5,2,4",
 }
+#: The classes of the paper, section "Controlled Perturbation Analysis".
+CLASSES = ("vegetation", "car", "tree", "wall")
+#: An object of at most k + 1 points remains a complete graph under any alteration; a typical one has twice as many.
+LEAST_POINTS_OVER_K = 2
+PURE_SHARE = 0.75
 #: Columns of `perturb_global` from the summary of a comparison.
 _SUMMARY = (
     "n_matched",
@@ -73,14 +78,12 @@ class PerturbRequest(BaseModel, frozen=True):
     levels : kinds and amounts of perturbations
     repeats, global_repeats : number of repeats of each level, per object and for the whole scan
     seed : seed of all random numbers
-    objects : community ids and labels; by default the classes of the paper, or shapes
     """
 
     levels: tuple[Perturbation, ...] = ()
     repeats: int = 20
     global_repeats: int = 5
     seed: int = 0
-    objects: tuple[str, ...] | None = None
 
 
 class PerturbSettings(Settings):
@@ -116,12 +119,6 @@ def perturb_source(
     """
     source = read_source(path)
     pairs = select_pairs(source, pattern) if pattern else source.pairs[:1]
-    objects = request.objects or ()
-    if len(pairs) > 1 and any(word.isdigit() for word in objects):
-        raise DatasetError(
-            f"--objects {','.join(objects)}: the number of an object requires one scan, got "
-            f"{len(pairs)}; select one with --pairs, or give labels"
-        )
     # the simulated side is not read
     scans = []
     for pair in source.pairs:
@@ -150,30 +147,29 @@ def make_perturbations(inputs: Inputs) -> JobResult:
     """All perturbations of the real scan of a pair and of its chosen objects, with all repeats."""
     settings = settings_of(inputs.settings)
     request: PerturbRequest = inputs.settings.perturb  # type: ignore[attr-defined]
-    tables, metadata = run_stages(inputs, PARTITION, ["real"])
+    tables = run_stages(inputs, PARTITION, ["real"])
     _, points = points_in(tables["ground", "real"])
     labels = column(tables["communities", "real"], "community_id")
     global_rows = []
-    for names in _repeats(request, inputs.pair_id, "all", request.global_repeats):
-        global_rows.append(names | _altered_scan(tables, points, names, settings))
-    candidates = objects_in(tables)
-    objects = choose_objects(candidates, inputs.pair_id, request.objects, settings.graph.k)
+    for level, trial in _trials(request, inputs.pair_id, "all", request.global_repeats):
+        global_rows.append(trial | _altered_scan(tables, points, level, trial["seed"], settings))
+    objects = choose_objects(objects_in(tables), inputs.pair_id, settings.graph.k)
     object_rows = []
     baseline_rows = []
     for chosen in objects:
         number = chosen["community_id"]
         before = graph_of(points[labels == number], settings.graph)
-        for repeat in _repeats(request, inputs.pair_id, number, request.repeats):
-            names = repeat | {"community_id": number, "object": chosen["name"]}
-            scores, baselines = _altered_object(before, names, settings)
+        for level, trial in _trials(request, inputs.pair_id, number, request.repeats):
+            names = trial | {"community_id": number, "object": chosen["name"]}
+            scores, baselines = _altered_object(before, level, trial["seed"], settings)
             object_rows.append(names | scores)
             baseline_rows += [names | baseline for baseline in baselines]
     results = {
-        "perturb_global": TABLES["perturb_global"].from_rows(global_rows),
-        "perturb_objects": TABLES["perturb_objects"].from_rows(object_rows),
-        "perturb_baselines": TABLES["perturb_baselines"].from_rows(baseline_rows),
+        "perturb_global": inputs.rows("perturb_global", global_rows),
+        "perturb_objects": inputs.rows("perturb_objects", object_rows),
+        "perturb_baselines": inputs.rows("perturb_baselines", baseline_rows),
     }
-    return JobResult(results, metadata | {"chosen": objects})
+    return JobResult(results, {"chosen": objects})
 
 
 STAGE = experiment_stage(
@@ -184,13 +180,13 @@ STAGE = experiment_stage(
 )
 
 
-def _repeats(
+def _trials(
     request: PerturbRequest,
     pair_id: str,
     scope: int | str,
     n_repeats: int,
-) -> Iterator[Row]:
-    """The first columns of the row of each level and repeat.
+) -> Iterator[tuple[Perturbation, Row]]:
+    """Each level and repeat, with the first columns of its row.
 
     The seed is 60 bits of a hash of the request's seed, scan, scope, level and repeat.
 
@@ -201,19 +197,14 @@ def _repeats(
     for level in request.levels:
         for repeat in range(n_repeats):
             digits = key_of("perturb", request.seed, pair_id, scope, *astuple(level), repeat)
-            seed = int(digits[:15], 16)
-            yield vars(level) | {"pair_id": pair_id, "repeat": repeat, "seed": seed}
+            yield level, vars(level) | {"repeat": repeat, "seed": int(digits[:15], 16)}
 
 
-def _altered(points: FloatArray, names: Row) -> FloatArray:
-    """Points altered as the first columns of a row say."""
-    level = Perturbation(names["kind"], names["amount"], names["shift_m"])
-    return perturb(points, level, np.random.default_rng(names["seed"]))
-
-
-def _altered_scan(tables: PairTables, points: FloatArray, names: Row, settings: Settings) -> Row:
+def _altered_scan(
+    tables: PairTables, points: FloatArray, level: Perturbation, seed: int, settings: Settings
+) -> Row:
     """Scores of the scan with all object points altered, everything from the graph on recomputed."""
-    altered = _altered(points, names)
+    altered = perturb(points, level, np.random.default_rng(seed))
     row: Row = {
         "n_points": len(points),
         "n_points_altered": len(altered),
@@ -223,8 +214,8 @@ def _altered_scan(tables: PairTables, points: FloatArray, names: Row, settings: 
         reason = f"expected at least {MIN_OBJECT_POINTS} points, got {len(altered)}"
         return row | {"reason": reason}
     used = settings
-    if names["kind"] == "null":  # with another Louvain seed
-        communities = settings.communities.model_copy(update={"seed": names["seed"] % 2**31})
+    if level.kind == "null":  # with another Louvain seed
+        communities = settings.communities.model_copy(update={"seed": seed % 2**31})
         used = settings.model_copy(update={"communities": communities})
     both = tables | {("ground", "sim"): ground_table(altered)}  # the real side is unaltered
     summary = score_pair(used, both)
@@ -233,14 +224,16 @@ def _altered_scan(tables: PairTables, points: FloatArray, names: Row, settings: 
     return row
 
 
-def _altered_object(before: Subgraph, names: Row, settings: Settings) -> tuple[Row, list[Row]]:
+def _altered_object(
+    before: Subgraph, level: Perturbation, seed: int, settings: Settings
+) -> tuple[Row, list[Row]]:
     """Scores of one object with altered points, and a row for each baseline metric.
 
     Parameters
     ----------
     before : the unaltered object with the graph of its points alone
     """
-    altered = _altered(before.points, names)
+    altered = perturb(before.points, level, np.random.default_rng(seed))
     row: Row = {"n_points": len(before.points), "n_points_altered": len(altered)}
     if not len(altered):
         reason = f"expected at least {MIN_NODES} points for a spectrum, got 0"
@@ -306,3 +299,89 @@ def _scores(tables: Mapping[str, pd.DataFrame]) -> list[pd.DataFrame]:
         single.assign(scope="object"),
         baselines.assign(scope="object"),
     ]
+
+
+def choose_objects(objects: pd.DataFrame, pair_id: str, k: int) -> list[Row]:
+    """The typical object of each class of the paper; without any of these one object per shape.
+
+    Shapes are linear, planar and scattered; no object is chosen twice, so that one without a further
+    object is left out. A row has the object's name (class or shape), scan and id, n_points and
+    range_m.
+
+    Parameters
+    ----------
+    objects : from `objects_in`
+    k : neighbours of the graph, `graph.k`; a typical object has at least 2 k points
+    """
+    least = LEAST_POINTS_OVER_K * k
+    chosen = {}
+    for name in CLASSES:
+        of_class = objects[objects["label"] == name]
+        if len(of_class):
+            chosen[_typical_of_class(of_class, least)] = name
+    chosen = chosen or _typical_of_shapes(objects, least)
+    table = objects.loc[[*chosen], ["n_points", "range_m"]]
+    table = table.assign(pair_id=pair_id, community_id=[*chosen], name=[*chosen.values()])
+    rows: Any = table.to_dict("records")
+    return list(rows)
+
+
+def objects_in(tables: PairTables) -> pd.DataFrame:
+    """The objects of the real side of a pair by id: n_points, range_m, label, `SHAPES`, and `label_share`.
+
+    `label_share` is the share of the points of an object that have its label.
+
+    Parameters
+    ----------
+    tables : among them ground, communities and objects
+    """
+    ground = tables["ground", "real"].select(["is_ground", "label"]).to_pandas()
+    objects: pd.DataFrame = tables["objects", "real"].to_pandas()
+    community = column(tables["communities", "real"], "community_id")
+    labels = objects["label"].to_numpy()[community]
+    has_label = (ground.loc[~ground["is_ground"], "label"] == labels) & pd.notna(labels)
+    labelled = community[has_label.to_numpy()]
+    n_labelled = np.bincount(labelled, minlength=len(objects))
+    return objects.assign(label_share=n_labelled / objects["n_points"])
+
+
+def _typical_of_class(objects: pd.DataFrame, least: int) -> int:
+    """Id of the typical object of a class.
+
+    It is the one of median size among the objects of at least `least` points with three quarters of them of the label;
+    without such objects, the largest with that most frequent label.
+    """
+    typical = objects[(objects["label_share"] >= PURE_SHARE) & (objects["n_points"] >= least)]
+    if typical.empty:
+        largest: Any = objects["n_points"].idxmax()
+        return int(largest)
+    return _median_sized(typical)
+
+
+def _typical_of_shapes(objects: pd.DataFrame, least: int) -> dict[int, str]:
+    """One object for each shape, no object twice: id and shape.
+
+    The shape of an object is that of the largest of the three features; among the objects of a shape and at least
+    `least` points the one of median size is chosen. Then shapes without an object get the nearest of the others; one
+    without a remaining object is left out.
+    """
+    large = objects[objects["n_points"] >= least]
+    free = objects if large.empty else large
+    shapes = large[[*SHAPES]].to_numpy().argmax(axis=1)
+    chosen: dict[str, int] = {}
+    for i, name in enumerate(SHAPES.values()):
+        typical = large[shapes == i]
+        if len(typical):
+            chosen[name] = _median_sized(typical)
+    for feature, name in SHAPES.items():
+        others = free[feature].drop([*chosen.values()])
+        if name not in chosen and len(others):
+            largest: Any = others.idxmax()
+            chosen[name] = int(largest)
+    return {chosen[name]: name for name in SHAPES.values() if name in chosen}
+
+
+def _median_sized(objects: pd.DataFrame) -> int:
+    """Id of the object of median size; for an even number the smaller one."""
+    by_size: Any = objects.sort_values("n_points", kind="stable").index
+    return int(by_size[(len(by_size) - 1) // 2])

@@ -1,8 +1,7 @@
 """Pictures and pages from finished tables; computes no new score.
 
-views/ describes each subject as plain data (`view`), `render` shows it in the terminal, as Markdown
-and as CSV. page/ and figures/ draw. They share run_frames (reads a run) and look (colours);
-charts are those of the pages.
+views/ describes each subject as plain data (`view`), `render` shows it in the terminal, page/ and
+figures/ draw. They share run_frames (reads a run) and look (colours).
 """
 
 import logging

@@ -5,6 +5,8 @@ Colours that colour-blind readers can distinguish, and names of any characters.
 
 from __future__ import annotations
 
+from typing import Any
+
 from ..results.object_frame import UNKNOWN
 
 #: Okabe and Ito, Color Universal Design (2008), vermilion darker for a contrast of 5 on white. One
@@ -96,11 +98,6 @@ def of_theme(name: str) -> str:
     return f"var(--{name})"
 
 
-def on_page(colour: str) -> str:
-    """A colour on a page: those of the sides depend on the theme."""
-    return {BLUE: of_theme("blue"), VERMILION: of_theme("vermilion")}.get(colour, colour)
-
-
 def clipped(text: str, most: int = 22) -> str:
     """Text truncated to at most `most` characters, ending in an ellipsis."""
     return text if len(text) <= most else f"{text[: most - 1]}…"
@@ -108,9 +105,38 @@ def clipped(text: str, most: int = 22) -> str:
 
 #: Colours that the pages' JavaScript draws with.
 PAGE_COLOURS = {
-    "sides": {side: on_page(colour) for side, colour in SIDE_COLOURS.items()},
+    "sides": {"real": of_theme("blue"), "sim": of_theme("vermilion")},
     "ramps": RAMPS,
     "signed": SIGNED_RAMP,
     "quadrants": QUADRANT_COLOURS,
     "none": GREY,
+}
+
+_INK = of_theme("ink")
+_SOFT = of_theme("soft")
+_LINE = of_theme("line")
+_CLEAR = "rgba(0,0,0,0)"
+_GRID = {"gridcolor": _LINE, "zerolinecolor": _LINE}
+_AXIS = {**_GRID, "linecolor": _SOFT, "showline": True, "showgrid": True, "automargin": True}
+_AXIS_3D = {**_GRID, "color": _SOFT, "showbackground": False, "showspikes": False}
+
+#: The look that all charts of a page share, as plotly.js reads it; the page replaces var(--ink) and the like.
+TEMPLATE: dict[str, Any] = {
+    "layout": {
+        "paper_bgcolor": _CLEAR,
+        "plot_bgcolor": _CLEAR,
+        "font": {"color": _INK, "family": "system-ui, sans-serif", "size": 12},
+        "modebar": {"bgcolor": _CLEAR, "color": _SOFT, "activecolor": _INK},
+        "margin": {"l": 55, "r": 15, "t": 40, "b": 45},
+        "hoverlabel": {"align": "left"},
+        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0},
+        "shapedefaults": {"line": {"color": _INK}},
+        "xaxis": _AXIS,
+        "yaxis": _AXIS,
+        "scene": {
+            "aspectmode": "data",
+            "dragmode": "orbit",
+            **dict.fromkeys(("xaxis", "yaxis", "zaxis"), _AXIS_3D),
+        },
+    }
 }

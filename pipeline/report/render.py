@@ -1,9 +1,7 @@
-"""Views in the terminal, as Markdown and as CSV; templates of the pages show the same parts."""
+"""Views in the terminal; templates of the pages show the same parts."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Sequence
 from textwrap import wrap
 
 from rich.box import SIMPLE_HEAD
@@ -11,13 +9,10 @@ from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderR
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from ..terminal import shown
 from .view import COLOURS, Answers, Item, Note, Part, Table, View
 
-#: Beginnings of formulas; the full-width ones in East Asian locales.
-_FORMULA = ("=", "+", "-", "@", "\uff1d", "\uff0b", "\uff0d", "\uff20")
-_NUMBER = re.compile(r"[-+]?[0-9]+(\.[0-9]+)?")
 _INDENT = 14
+_GAP = "   "  #: between words, detail and setting, and before those below the words
 _NARROWEST = 40
 _WHOLE_WORD = 24  #: words up to this length are never cut
 
@@ -25,51 +20,6 @@ _WHOLE_WORD = 24  #: words up to this length are never cut
 def terminal(view: View) -> RenderableType:
     """A view as rich prints it; no name in it is read as markup."""
     return Group(*map(_in_terminal, view))
-
-
-def markdown(view: View) -> str:
-    r"""A view for a merge request, as GitHub and GitLab show it: heading bold, warnings as a list.
-
-    Examples
-    --------
-    >>> print(markdown([Table("", ["pair", "CDC"], [["a|b", 0.5]])]), end="")
-    | pair | CDC |
-    | :--- | ---: |
-    | a\|b | 0.500 |
-    """
-    text = ""
-    for part in view:
-        lines = _in_markdown(part)
-        if not lines:
-            continue
-        last_line = text.rpartition("\n")[2]
-        if lines.startswith("- ") and last_line.startswith("- "):
-            text += "\n"
-        elif text:
-            text += "\n\n"
-        text += lines
-    return f"{text}\n"
-
-
-def csv_table(table: Table) -> str:
-    """A table as spreadsheets open it (RFC 4180, lines end with a line feed).
-
-    Floats are in full, None is an empty cell. A text that a spreadsheet would take for a formula
-    begins with an apostrophe, unless it is a number.
-
-    Examples
-    --------
-    >>> print(csv_table(Table("", ["pair"], [["=1+1"], ["-5"], [-0.5]])), end="")
-    pair
-    '=1+1
-    -5
-    -0.5
-    """
-    import pandas as pd  # takes as long to load as all else here
-
-    rows = [[*map(_in_spreadsheet, row)] for row in table.rows]
-    frame = pd.DataFrame(rows, columns=[*table.headings], dtype=object)
-    return frame.to_csv(index=False, lineterminator="\n")
 
 
 def _in_terminal(part: Part) -> RenderableType:
@@ -110,79 +60,28 @@ class _AnswerLines:
         self._sections = answers.sections
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        width = max(options.max_width, _NARROWEST)
         for heading, items in self._sections:
             title = Text(heading.ljust(_INDENT), "bold" if heading[0].isupper() else "")
             for item in items:
-                yield title + Text(_item_lines(item, width))
+                lines = _item_lines(item, max(options.max_width, _NARROWEST) - _INDENT)
+                yield title + Text(f"\n{' ' * _INDENT}".join(lines))
                 title = Text(" " * _INDENT)
 
 
-def _item_lines(item: Item, width: int) -> str:
-    """An item in one line, which its setting ends, or its words above its detail and setting."""
-    words, detail, setting = item
-    text = "   ".join(filter(None, (words, detail)))
-    n_free = width - _INDENT - len(text) - len(setting)
-    if n_free >= 2:
-        return text + " " * n_free + setting if setting else text
-    below = "   ".join(filter(None, (detail, setting)))
-    hang = 3 if words[1:3] == "  " else 0  # "1  cause" of a numbered list
+def _item_lines(item: Item, width: int) -> list[str]:
+    """An item in one line, or its words above its detail and setting."""
+    words, *more = filter(None, item)
+    line = _GAP.join((words, *more))
+    if len(line) <= width:
+        return [line]
     lines = []
-    for text, start in ((words, 0), (below, hang)):
+    for text, start in ((words, ""), (_GAP.join(more), _GAP)):
         lines += wrap(
             text,
             width,
-            initial_indent=" " * (_INDENT + start),
-            subsequent_indent=" " * (_INDENT + hang),
+            initial_indent=start,
+            subsequent_indent=start,
             break_long_words=False,
             break_on_hyphens=False,
         )
-    return "\n".join(lines)[_INDENT:]
-
-
-def _in_markdown(part: Part) -> str:
-    if isinstance(part, Note):
-        return _note_in_markdown(part)
-    if isinstance(part, Answers):
-        return "\n\n".join(_section_in_markdown(*section) for section in part.sections)
-    rule = [":---" if i in part.words else "---:" for i in range(len(part.headings))]
-    lines = [
-        _row_in_markdown(" ".join(heading.split()) for heading in part.headings),
-        f"| {' | '.join(rule)} |",
-        *map(_row_in_markdown, part.cells),
-    ]
-    if part.title:
-        lines.insert(0, f"**{_escaped(part.title)}**\n")
-    return "\n".join(lines)
-
-
-def _note_in_markdown(note: Note) -> str:
-    text = _escaped(note.text.strip().removeprefix("note: "))
-    if "bold" in note.style:
-        return f"**{text}**"
-    return f"- {text}" if note.style and text else text
-
-
-def _section_in_markdown(heading: str, items: Sequence[Item]) -> str:
-    texts = [_escaped("; ".join(filter(None, item))) for item in items]
-    if len(texts) == 1:
-        return f"{heading.strip()}: {texts[0]}"
-    return "\n".join([f"{heading.strip()}:\n", *(f"- {text}" for text in texts)])
-
-
-def _row_in_markdown(cells: Iterable[str]) -> str:
-    return f"| {' | '.join(map(_escaped, cells))} |"
-
-
-def _escaped(text: str) -> str:
-    """Text for Markdown: no name ends a cell, or becomes HTML, a link or a picture."""
-    return re.sub(r"[\\|<\[]", r"\\\g<0>", shown(text))
-
-
-def _in_spreadsheet(value: object) -> object:
-    """A cell; a text that begins a formula is marked as text (OWASP, CSV Injection)."""
-    if not isinstance(value, str):
-        return value
-    text = shown(value)
-    is_formula = text.startswith(_FORMULA) and not _NUMBER.fullmatch(text)
-    return f"'{text}" if is_formula else text
+    return lines

@@ -1,7 +1,6 @@
 """A finished run as a report reads it: its pairs and objects, and the points of one pair.
 
-Everything is checked before anything is drawn. Recomputed are the distance of each point to the
-other side, and the piece that holds it.
+Everything is checked before anything is drawn. Recomputed is the piece that holds each point.
 """
 
 from __future__ import annotations
@@ -18,24 +17,9 @@ from ...schemas.errors import RunError
 from ...schemas.metric_catalogue import METRIC, QUADRANT_SCORES
 from ...schemas.settings import PieceSettings
 from ...stages.arrays import BoolArray, FloatArray
-from ...stages.coverage import nearest_distances
 from ...stages.pieces import CutScan, label_pieces
 from ..results.finished import FinishedRun
 from ..results.overview import NO_LABEL
-
-#: The two scores that are drawn side by side.
-SCORES = QUADRANT_SCORES[::-1]
-_PAD_M = 0.3
-#: Columns of the share of a real and of a simulated object that the other side has.
-OBJECT_COVERAGE = tuple(f"covered_{side}_0p3m" for side in SIDES)
-#: Columns of the share of an object that is below the ground cut of the other side.
-OBJECT_ROAD = tuple(f"road_share_{side}" for side in SIDES)
-#: Columns of both sides of an object, and those of one side that they come from.
-_OF_SIDES = {
-    "n_{}": "n_points",
-    "covered_{}_0p3m": "covered_0p3m",
-    "road_share_{}": "road_share",
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,11 +35,11 @@ class RunResults:
     Objects have the columns of `object_frame`, and
 
     - pair : index of their pair in `pairs`
-    - name, object : such as "real 3" (a matched one that of its real side), and "real 3, sim 5"
+    - name : such as "real 3"; of a matched object that of its real side
     - real_id, sim_id : -1 for a side that does not have the object
     - status : that of the scores if matched, else not_found or extra
     - group : class or shape
-    - n_real, n_sim, `OBJECT_COVERAGE`, `OBJECT_ROAD` : null for a side without the object
+    - n_real, n_sim, covered_real_0p3m, covered_sim_0p3m : null for a side without the object
     - n_keep, quadrant : null if it is not matched
     """
 
@@ -73,11 +57,6 @@ class RunResults:
     def unmatched(self) -> pd.DataFrame:
         """The objects that only one side has, largest first."""
         return self.objects[self.objects.partner < 0]
-
-
-def axis_title(score: str) -> str:
-    """Label of the axis of a score: its heading and its best end."""
-    return f"{METRIC[score].label} ({METRIC[score].scale})"
 
 
 def read_results(folder: Path) -> RunResults:
@@ -116,8 +95,8 @@ def _both_sides(objects: pd.DataFrame) -> pd.DataFrame:
     for side in SIDES:
         is_of_side = objects["side"] == side
         objects[f"{side}_id"] = objects["community_id"].where(is_of_side, objects["partner"])
-        names = {column: name.format(side) for name, column in _OF_SIDES.items()}
-        of_side = objects.loc[is_of_side, ["pair", f"{side}_id", *names]].rename(columns=names)
+        of_side = objects.loc[is_of_side, ["pair", "community_id", "n_points", "covered_0p3m"]]
+        of_side.columns = ["pair", f"{side}_id", f"n_{side}", f"covered_{side}_0p3m"]
         objects = objects.merge(of_side, how="left", on=["pair", f"{side}_id"])
         objects[f"n_{side}"] = objects[f"n_{side}"].astype("Int64")
     is_matched = objects["partner"] >= 0
@@ -125,8 +104,6 @@ def _both_sides(objects: pd.DataFrame) -> pd.DataFrame:
     objects["quadrant"] = objects["quadrant"].where(is_matched)
     objects["status"] = objects["status"].where(is_matched, objects["fate"])
     objects["name"] = objects["side"] + " " + objects["community_id"].astype(str)
-    partner_names = ", sim " + objects["partner"].astype(str)
-    objects["object"] = objects["name"] + partner_names.where(is_matched, "")
     matched = _worst_first(objects[is_matched & (objects["side"] == "real")], QUADRANT_SCORES)
     unmatched = objects[~is_matched & (objects["fate"] != "remnant")]
     unmatched = unmatched.sort_values(["n_points", "pair_id"], ascending=[False, True])
@@ -143,10 +120,9 @@ def _worst_first(rows: pd.DataFrame, by: tuple[str, ...]) -> pd.DataFrame:
 
 @lru_cache(maxsize=8)  # the worst places of a pair and its view read the same points
 def points_of(run: FinishedRun, pair_id: str) -> dict[str, pd.DataFrame]:
-    """The clean points of a scored pair by side: `FinishedRun.points` and two columns.
+    """The clean points of a scored pair by side: `FinishedRun.points`, and `piece_id`.
 
-    - distance_m : of an object point, to the nearest one of the other side; NaN for ground
-    - piece_id : of the missing (real) or invented (sim) piece that holds the point; -1 for none
+    That is the missing (real) or invented (sim) piece that holds the point; -1 for none.
 
     Raises
     ------
@@ -154,16 +130,12 @@ def points_of(run: FinishedRun, pair_id: str) -> dict[str, pd.DataFrame]:
         A table is damaged or gone.
     """
     points = {side: run.points(pair_id, side) for side in SIDES}
-    scans = [
-        CutScan(coordinates(rows), rows["is_ground"].to_numpy(), rows["height_m"].to_numpy())
-        for rows in points.values()
-    ]
-    objects = [scan.points[~scan.is_ground] for scan in scans]
+    scans = []
+    for rows in points.values():
+        is_ground = rows["is_ground"].to_numpy()
+        scans.append(CutScan(coordinates(rows), is_ground, rows["height_m"].to_numpy()))
     settings = PieceSettings.model_validate(run.record.settings["pieces"])
-    for side, scan, other, distance_m in zip(
-        SIDES, scans, scans[::-1], nearest_distances(*objects), strict=True
-    ):
-        points[side].loc[~scan.is_ground, "distance_m"] = distance_m
+    for side, scan, other in zip(SIDES, scans, scans[::-1], strict=True):
         points[side]["piece_id"] = label_pieces(scan, other, settings)
     return points
 
@@ -171,11 +143,6 @@ def points_of(run: FinishedRun, pair_id: str) -> dict[str, pd.DataFrame]:
 def coordinates(points: pd.DataFrame) -> FloatArray:
     """Coordinates of points, (n, 3) float64 metres, in the real sensor's frame."""
     return points[["x", "y", "z"]].to_numpy()
-
-
-def box_around(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lowest and highest corner, (3,) each, of a box around points, with 0.3 m to spare."""
-    return points.min(axis=0) - _PAD_M, points.max(axis=0) + _PAD_M
 
 
 def inside(points: FloatArray, low: FloatArray, high: FloatArray) -> BoolArray:

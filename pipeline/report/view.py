@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Container, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 #: Colours of verdicts.
@@ -33,26 +33,28 @@ class Table:
 
     words : indices of the columns that hold words, which may break into lines; the others hold
         numbers
-    digits : by index of a column, the digits of its floats; by default three
+    digits : of its floats
     wide : indices of columns that a terminal has no room for
     whole : indices of columns of words that never break into lines
+    links : what the first cell of each row leads to on a page; "" for nothing
     """
 
     title: str
     headings: Sequence[str]
     rows: Sequence[Sequence[object]]
     words: Container[int] = (0,)
-    digits: Mapping[int, int] = field(default_factory=dict)
+    digits: int = 3
     wide: Container[int] = ()
     whole: Container[int] = ()
+    links: Sequence[str] = ()
 
     @property
     def cells(self) -> list[list[str]]:
         """The rows as text."""
-        return [self._texts(row) for row in self.rows]
-
-    def _texts(self, row: Sequence[object]) -> list[str]:
-        return [_text(value, self.digits.get(i, 3)) for i, value in enumerate(row)]
+        cells = []
+        for row in self.rows:
+            cells.append([_text(value, self.digits) for value in row])
+        return cells
 
 
 #: An answer as text, a detail and a setting, which may be empty.
@@ -116,11 +118,6 @@ def percent(value: float | None) -> str:
     return "-" if value is None else f"{100 * value:.0f} %"
 
 
-def mean_and_spread(mean: float | None, std: float | None, digits: int = 3) -> str:
-    """A mean with its standard deviation, each a dash if absent."""
-    return f"{number(mean, digits)} ± {number(std, digits)}"
-
-
 def count(n: int, noun: str) -> str:
     """A number with its noun.
 
@@ -155,13 +152,6 @@ def shortened(names: Iterable[str], width: int) -> dict[str, str]:
         if len(set(short.values())) == len(short):
             return short
     return {name: name for name in names}
-
-
-def sentence(text: str) -> str:
-    """A line as a sentence; r_lambda and the like keep their names."""
-    start = text[:1] if text.startswith("r_") else text[:1].upper()
-    end = "" if text.endswith(".") else "."
-    return f"{start}{text[1:]}{end}"
 
 
 def _text(value: object, digits: int) -> str:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -15,37 +15,38 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from pydantic import TypeAdapter
 
+from ...schemas.columns import Row
 from ...schemas.data_files import parse_toml
 from ...schemas.errors import RunError
-from ...schemas.metric_catalogue import OBJECT_METRICS, RUN_SCORES, metric_of
+from ...schemas.metric_catalogue import METRIC, OBJECT_METRICS, RUN_SCORES
 from ...schemas.results import JsonObject
+from ...stages.arrays import FloatArray
 from ...stages.statistics.validation import double_validation_metric
-from ...stages.summary import mean_and_std
-from ..storage.run_record import read_run
 from ..storage.urls import url_or_path
-from .finished import FinishedRun, settings_changes, version_changes
+from .finished import (
+    OTHER_SCAN,
+    FinishedRun,
+    pairs_left_out,
+    settings_changes,
+    version_changes,
+)
+from .object_frame import plain_rows
 
 if TYPE_CHECKING:
     import pandas as pd
 
 BEST_CASE_DATASET = "dataset"
 BEST_CASE_RECIPE = "best_case.toml"
-BEST_CASE_AMOUNTS = "best_case.csv"
 AS_MEASURED: Literal["measured"] = "measured"  #: noise or losses that each real scan shows itself
 #: What has a best case: columns of `pairs`.
-SCORES = (
-    "match_rate",
-    "n_not_found",
-    "n_extra",
-    *(name for name in RUN_SCORES if name != "match_rate"),
-)
+SCORES = ("n_not_found", "n_extra", *RUN_SCORES)
 
 
 @dataclass(frozen=True)
 class BestCaseRecipe:
     """Recipe of the second measurements of a best case.
 
-    noise_m, lost_share : "measured" for those that each scan shows, listed in `BEST_CASE_AMOUNTS`
+    noise_m, lost_share : "measured" for those that each scan shows
     seed : of noise and losses
     dataset : whose real scans they are of
     """
@@ -69,37 +70,17 @@ class BestCaseRecipe:
 
 
 @dataclass(frozen=True)
-class ScoreExcess:
-    """One score of a run over its best case, in the score's unit.
-
-    column : of `pairs`
-    n_pairs : pairs that have the score in both
-    mean, best_case : over these pairs
-    excess, std : mean and standard deviation (n - 1) over them of score - best case of the same pair
-    bias, area : double validation metric of both distributions, over all matched objects of a score of objects, else
-        over the pairs; see `stages.statistics.validation`
-    of_pairs : by pair, score - best case; None if either is null
-    """
-
-    column: str
-    n_pairs: int
-    mean: float | None
-    best_case: float | None
-    excess: float | None
-    std: float | None
-    bias: float | None
-    area: float | None
-    of_pairs: dict[str, float | None]
-
-
-@dataclass(frozen=True)
 class RunExcess:
     """A run over its best case.
 
     recipe : of the best case
     pairs : that both have; `left_out` are scored in the run alone
     notes : what else differs and can change a number
-    scores : by column of `pairs`
+    scores : by column of `pairs`, in the score's unit, None if unknown: `n_pairs` that have it in both, over these
+        `mean` and `best_case`, and mean and standard deviation (n - 1) of score - best case of the same pair (`excess`,
+        `std`); `bias` and `area`, the double validation metric of both distributions, over all matched objects of a
+        score of objects, else over the pairs (`stages.statistics.validation`)
+    of_pairs : (pairs, scores) score - best case; NaN if either is null
     task_gaps : of the best case, by names such as `objects.lost`
     """
 
@@ -109,12 +90,18 @@ class RunExcess:
     pairs: tuple[str, ...]
     left_out: tuple[str, ...]
     notes: tuple[str, ...]
-    scores: dict[str, ScoreExcess]
+    scores: dict[str, Row]
+    of_pairs: pd.DataFrame
     task_gaps: dict[str, float | None]
 
     def as_dict(self) -> JsonObject:
         """Plain values, for JSON."""
-        return asdict(self) | {"run": str(self.run), "best_case": str(self.best_case)}
+        return vars(self) | {
+            "run": str(self.run),
+            "best_case": str(self.best_case),
+            "recipe": asdict(self.recipe),
+            "of_pairs": dict(zip(self.pairs, plain_rows(self.of_pairs), strict=True)),
+        }
 
 
 _RECIPE = TypeAdapter(BestCaseRecipe)
@@ -129,15 +116,6 @@ def read_recipe(run: Path) -> BestCaseRecipe | None:
         return _RECIPE.validate_python(recipe)
     except (OSError, ValueError):  # TOML and unicode errors are ValueErrors
         return None
-
-
-def run_of_best_case(best_case: Path, recipe: BestCaseRecipe) -> str:
-    """The run next to a best case that is of the same dataset, as commands take it; "RUN" if there is none."""
-    for name in (best_case.name.removesuffix("-best-case"), Path(recipe.dataset).name):
-        run = best_case.with_name(name)
-        if run != best_case and read_run(run).get("dataset") == recipe.dataset:
-            return url_or_path(run)
-    return "RUN"
 
 
 def excess_over(run: FinishedRun, best_case: Path) -> RunExcess:
@@ -166,71 +144,59 @@ def excess_over(run: FinishedRun, best_case: Path) -> RunExcess:
             f"{command}; for changes against another run: fidpipe compare, diagnose --since"
         )
     other = FinishedRun(best_case)
-    scored = set(other.names)
-    names = tuple(name for name in run.names if name in scored)
-    hashes = {name: of_scans.get("real") for name, of_scans in run.record.inputs.items()}
-    theirs = other.record.inputs
-    moved = [name for name in hashes if name in theirs and hashes[name] != theirs[name].get("real")]
-    problem = ""
-    if differing := settings_changes(run, other):
-        problem = f"settings differ ({'; '.join(differing)})"
-    elif moved:
-        problem = f"the real scans of {len(moved)} pairs differ ({', '.join(moved[:3])})"
-    elif not names:
-        problem = "no pair is scored in both"
-    if problem:
+    left_out = pairs_left_out(run, other)
+    names = tuple(name for name in run.names if name not in left_out)
+    if problem := _problem(run, other, left_out):
         runs = f"run {run.folder} and best case {best_case}"
         raise RunError(f"{runs}: {problem}; make one for it: {command}")
-    of_pairs = [_pairs(run, names), _pairs(other, names)]
-    of_objects = [_matched(run, names), _matched(other, names)]
+    of_pairs = run.scores.loc[[*names], [*SCORES]] - other.scores.loc[[*names], [*SCORES]]
     return RunExcess(
         run=run.folder,
         best_case=best_case,
         recipe=recipe,
         pairs=names,
-        left_out=tuple(name for name in run.names if name not in scored),
+        left_out=tuple(name for name in run.names if name in left_out),
         notes=tuple(version_changes(run, other)),
-        scores={column: _excess(column, names, of_pairs, of_objects) for column in SCORES},
+        scores=_excess(run, other, of_pairs),
+        of_pairs=of_pairs,
         task_gaps=other.record.task_gaps,
     )
 
 
-def _pairs(run: FinishedRun, names: Sequence[str]) -> pd.DataFrame:
-    """The scores of some pairs; NaN for null."""
-    return run.pairs.set_index("pair_id").loc[[*names], [*SCORES]].astype(np.float64)
+def _problem(run: FinishedRun, other: FinishedRun, left_out: Mapping[str, str]) -> str:
+    """Why a run has no excess over a best case; "" if it has."""
+    if differing := settings_changes(run, other):
+        return f"settings differ ({'; '.join(differing)})"
+    moved = [name for name, why in left_out.items() if why == OTHER_SCAN]
+    if moved:
+        return f"the real scans of {len(moved)} pairs differ ({', '.join(moved[:3])})"
+    return "no pair is scored in both" if left_out.keys() >= {*run.names} else ""
 
 
-def _matched(run: FinishedRun, names: Sequence[str]) -> pd.DataFrame:
-    """The matched objects of some pairs."""
-    return run.objects_of(names, OBJECT_METRICS).query("side == 'real' and partner >= 0")
+def _excess(run: FinishedRun, other: FinishedRun, of_pairs: pd.DataFrame) -> dict[str, Row]:
+    """The `scores` of `RunExcess`, from its `of_pairs`."""
+    import pandas as pd
 
-
-def _excess(
-    column: str,
-    names: Sequence[str],
-    pairs: Sequence[pd.DataFrame],
-    objects: Sequence[pd.DataFrame],
-) -> ScoreExcess:
-    """One score of a run over its best case, from the pairs and the matched objects of both."""
-    of_run = pairs[0][column].to_numpy()
-    of_best_case = pairs[1][column].to_numpy()
-    over = of_run - of_best_case
-    has_both = ~np.isnan(over)
-    excess, std = mean_and_std(over)
-    metric = metric_of(column).column
-    values = [of_run, of_best_case]
-    if metric in OBJECT_METRICS:
-        values = [frame[metric].to_numpy() for frame in objects]
-    apart = double_validation_metric(sim=values[0], real=values[1])
-    known = [None if np.isnan(value) else value for value in over.tolist()]
-    return ScoreExcess(
-        column=column,
-        n_pairs=int(np.count_nonzero(has_both)),
-        mean=mean_and_std(of_run[has_both])[0],
-        best_case=mean_and_std(of_best_case[has_both])[0],
-        excess=excess,
-        std=std,
-        bias=apart.bias,
-        area=apart.area,
-        of_pairs=dict(zip(names, known, strict=True)),
+    names = [*of_pairs.index]
+    has_both = of_pairs.notna()
+    sim, real = [_values(one, names) for one in (run, other)]
+    apart = [double_validation_metric(real[column], sim[column]) for column in SCORES]
+    summary = pd.DataFrame(apart, index=[*SCORES], dtype=np.float64).assign(
+        n_pairs=has_both.sum(),
+        mean=run.scores.loc[names][has_both].mean(),
+        best_case=other.scores.loc[names][has_both].mean(),
+        excess=of_pairs.mean(),
+        std=of_pairs.std(),
     )
+    return dict(zip(SCORES, plain_rows(summary), strict=True))
+
+
+def _values(run: FinishedRun, names: Sequence[str]) -> dict[str, FloatArray]:
+    """Values by column of `pairs`: of all matched objects of some pairs for a score of objects, else of the pairs."""
+    scores = run.scores.loc[[*names], [*SCORES]]
+    values = {column: scores[column].to_numpy() for column in SCORES}
+    objects = run.objects_of(names, OBJECT_METRICS, ("real",))
+    matched = objects[objects["fate"] == "matched"]
+    for name in OBJECT_METRICS:
+        values[METRIC[name].mean_column] = matched[name].to_numpy()
+    return values

@@ -8,14 +8,13 @@ between two runs, if it lies beyond the resolution of the estimate. Causes are o
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...schemas.cause_catalogue import CAUSES, FLAT, LOSSES, PARAMETERS, UNEVEN, CauseModel
 from ...schemas.results import Cause, Unknown
-from ...stages.arrays import BoolArray, FloatArray, IntArray
+from ...stages.arrays import FloatArray, IntArray
 from ...stages.statistics.comparison import LEAST_FOR_INTERVAL, block_means, mean_interval
 from ..storage.folder import RunFolder
 
@@ -61,26 +60,15 @@ _ANGLES = ("roll", "pitch", "yaw")
 _OF_POSE = (*PARAMETERS, "elevation scale")
 #: Independent places that all lie beyond a resolution.
 _ENOUGH = 4
-_COLUMNS = ["cause", "amount", "real", "sim", "share", "reason"]
+_NUMBERS = ["amount", "real", "sim", "share"]
+_COLUMNS = ["cause", *_NUMBERS, "reason"]
 _OTHER_VERSION = "the run was made by a version without this cause"
 
-
-@dataclass(frozen=True)
-class CauseValues:
-    """One cause in all pairs of a run, (n,) float64 each; NaN if unknown.
-
-    amount, real, sim, share : columns of table `causes`
-    reason : why it is unknown, in the first pair without an amount; "" if it is known everywhere
-    """
-
-    amount: FloatArray
-    real: FloatArray
-    sim: FloatArray
-    share: FloatArray
-    reason: str
+#: (pairs, columns) of a cause by its name: amount, real, sim, share and reason of table `causes`; NaN if unknown.
+CauseRows = Mapping[str, "pd.DataFrame"]
 
 
-def read_causes(store: RunFolder, pair_ids: Sequence[str]) -> dict[str, CauseValues]:
+def read_causes(store: RunFolder, pair_ids: Sequence[str]) -> dict[str, pd.DataFrame]:
     """The table `causes` of some pairs, for each cause of the catalogue; tables of another version may have others.
 
     Raises
@@ -92,7 +80,7 @@ def read_causes(store: RunFolder, pair_ids: Sequence[str]) -> dict[str, CauseVal
     return _by_cause(frame, sorted(CAUSES), len(pair_ids))
 
 
-def cause_values(amounts: Sequence[Mapping[str, Amount]]) -> dict[str, CauseValues]:
+def cause_values(amounts: Sequence[Mapping[str, Amount]]) -> dict[str, pd.DataFrame]:
     """Estimates of some pairs, by name of the cause; those that no pair has are left out."""
     import pandas as pd
 
@@ -103,19 +91,10 @@ def cause_values(amounts: Sequence[Mapping[str, Amount]]) -> dict[str, CauseValu
     return _by_cause(frame, frame["cause"].unique(), len(amounts))
 
 
-def _by_cause(frame: pd.DataFrame, names: Iterable[str], n_pairs: int) -> dict[str, CauseValues]:
-    """Values of some causes, from a row per pair and cause."""
-    values = {}
-    for name in names:
-        of_cause = frame[frame["cause"] == name]
-        rows = of_cause.set_index("pair").reindex(range(n_pairs))
-        columns = {
-            column: rows[column].to_numpy(np.float64)
-            for column in ("amount", "real", "sim", "share")
-        }
-        reasons = rows["reason"].dropna().tolist() if len(of_cause) else [_OTHER_VERSION]
-        values[name] = CauseValues(**columns, reason=reasons[0] if reasons else "")
-    return values
+def _by_cause(frame: pd.DataFrame, names: Iterable[str], n_pairs: int) -> dict[str, pd.DataFrame]:
+    """`CauseRows` of some causes, from a row per pair and cause."""
+    frame = frame.set_index("pair").astype(dict.fromkeys(_NUMBERS, np.float64))
+    return {name: frame[frame["cause"] == name].reindex(range(n_pairs)) for name in names}
 
 
 def independent_blocks(blocks: IntArray) -> IntArray:
@@ -125,14 +104,12 @@ def independent_blocks(blocks: IntArray) -> IntArray:
     return blocks
 
 
-def named_causes(values: Mapping[str, CauseValues], blocks: IntArray) -> list[Cause]:
+def named_causes(values: CauseRows, blocks: IntArray) -> list[Cause]:
     """The causes whose interval lies beyond the tolerance, those that affect most of the surface first."""
     return named_and_small(values, blocks)[0]
 
 
-def named_and_small(
-    values: Mapping[str, CauseValues], blocks: IntArray
-) -> tuple[list[Cause], list[str]]:
+def named_and_small(values: CauseRows, blocks: IntArray) -> tuple[list[Cause], list[str]]:
     """The named causes, and displacements that explain too little of the distance to be named, as sentences.
 
     Parameters
@@ -140,12 +117,11 @@ def named_and_small(
     values : from `read_causes`
     blocks : (n,) independent place of each pair; pairs of one place count once, with their mean
     """
-    amounts = {name: of_cause.amount for name, of_cause in values.items()}
     blocks = independent_blocks(blocks)
     named = []
     small = []
-    for name in _named(amounts, blocks, is_change=False):
-        cause = _cause(CAUSES[name], values[name], values[name].amount, blocks)
+    for name in _named(values, blocks, is_change=False):
+        cause = _cause(name, values[name], blocks)
         if _is_small(cause):
             small.append(cause.words)
         else:
@@ -157,13 +133,19 @@ def _is_small(cause: Cause) -> bool:
     return cause.name in _OF_POSE and cause.share < least_part_of_pose(cause.name)
 
 
-def unknown_causes(values: Mapping[str, CauseValues]) -> list[Unknown]:
+def unknown_causes(values: CauseRows) -> list[Unknown]:
     """The causes that are unknown in most pairs, by reason."""
     by_reason: dict[str, list[str]] = {}
-    for name, of_cause in values.items():
-        if name != UNEVEN and not _is_known(of_cause.amount):
-            by_reason.setdefault(of_cause.reason, []).append(name)
+    for name, rows in values.items():
+        if name != UNEVEN and not _is_known(rows):
+            by_reason.setdefault(_reason(rows), []).append(name)
     return [Unknown(causes=tuple(names), reason=reason) for reason, names in by_reason.items()]
+
+
+def _reason(rows: pd.DataFrame) -> str:
+    """Why a cause is unknown, in the first pair without an amount."""
+    reasons = rows["reason"].dropna().tolist()
+    return reasons[0] if reasons else _OTHER_VERSION
 
 
 def no_cause_words(unknown: Sequence[Unknown]) -> str:
@@ -179,16 +161,16 @@ def no_cause_words(unknown: Sequence[Unknown]) -> str:
     return f"no cause can be named: {n_unknown} of {n_causes} are unknown ({largest.reason})"
 
 
-def mean_amount(name: str, values: CauseValues, blocks: IntArray) -> Cause | Unknown:
+def mean_amount(name: str, rows: pd.DataFrame, blocks: IntArray) -> Cause | Unknown:
     """A cause with its mean amount over the pairs, also if it is too small to be named."""
-    if not _is_known(values.amount):
-        return Unknown(causes=(name,), reason=values.reason)
-    return _cause(CAUSES[name], values, values.amount, independent_blocks(blocks))
+    if not _is_known(rows):
+        return Unknown(causes=(name,), reason=_reason(rows))
+    return _cause(name, rows, independent_blocks(blocks))
 
 
-def _is_known(amounts: FloatArray) -> bool:
+def _is_known(rows: pd.DataFrame) -> bool:
     """True if a cause has an amount in at least half of the pairs."""
-    return 2 * int(np.count_nonzero(~np.isnan(amounts))) >= len(amounts)
+    return 2 * int(rows["amount"].count()) >= len(rows)
 
 
 def least_part_of_pose(name: str) -> float:
@@ -197,10 +179,7 @@ def least_part_of_pose(name: str) -> float:
 
 
 def changed_causes(
-    before: Mapping[str, CauseValues],
-    after: Mapping[str, CauseValues],
-    between: Mapping[str, FloatArray],
-    blocks: IntArray,
+    before: CauseRows, after: CauseRows, between: Mapping[str, FloatArray], blocks: IntArray
 ) -> list[Cause]:
     """The causes that changed from one run to another by more than the resolution, those that moved most first.
 
@@ -211,34 +190,30 @@ def changed_causes(
         than differences of two amounts against the real scan; NaN for pairs that were not chosen
     blocks : (n,) independent place of each pair
     """
-    changes = {
-        name: change_of(name, before[name], after[name], between)
-        for name in after
-        if name in before
-    }
+    changes = {}
+    for name, rows in after.items():
+        if name in before:
+            changes[name] = rows.assign(amount=change_of(name, before[name], rows, between))
     blocks = independent_blocks(blocks)
     named = _named(changes, blocks, is_change=True, measured=between)
-    causes = [_cause(CAUSES[name], after[name], changes[name], blocks) for name in named]
+    causes = [_cause(name, changes[name], blocks) for name in named]
     return sorted(causes, key=lambda cause: -abs(cause.estimate) / CAUSES[cause.name].resolution)
 
 
 def change_of(
-    name: str, before: CauseValues, after: CauseValues, between: Mapping[str, FloatArray]
+    name: str, before: pd.DataFrame, after: pd.DataFrame, between: Mapping[str, FloatArray]
 ) -> FloatArray:
     """(n,) change of the amount of a cause; of a lost share, relative to what the first run returned."""
     if name in between:
         return between[name]
+    first, last = [rows["amount"].to_numpy() for rows in (before, after)]
     if name in (*LOSSES, SCALE):
-        return 1.0 - (1.0 - after.amount) / np.maximum(1.0 - before.amount, 1e-9)
-    return after.amount - before.amount
+        return 1.0 - (1.0 - last) / np.maximum(1.0 - first, 1e-9)
+    return last - first
 
 
 def _named(
-    amounts: Mapping[str, FloatArray],
-    blocks: IntArray,
-    *,
-    is_change: bool,
-    measured: Collection[str] = (),
+    values: CauseRows, blocks: IntArray, *, is_change: bool, measured: Collection[str] = ()
 ) -> list[str]:
     """Names of the causes beyond the tolerance, or of the changes beyond the resolution; those feigned are left out.
 
@@ -246,24 +221,25 @@ def _named(
     ----------
     measured : causes that count although they are known in less than half of the pairs, as a few were chosen
     """
-    means = {name: _mean(values) for name, values in amounts.items()}
+    means = {name: _mean(rows["amount"]) or 0.0 for name, rows in values.items()}
     named = {}
-    for name, values in amounts.items():
+    for name, rows in values.items():
         model = CAUSES[name]
-        is_known = ~np.isnan(values)
-        is_enough = is_known.any() if name in measured else _is_known(values)
+        amounts = rows["amount"].to_numpy()
+        is_known = ~np.isnan(amounts)
+        is_enough = is_known.any() if name in measured else _is_known(rows)
         if name == UNEVEN or not is_enough or _is_feigned(name, means):
             continue
         limit = model.resolution if is_change else model.tolerance
-        if _is_beyond(
-            model, block_means(values[is_known], blocks[is_known]), limit, is_change=is_change
-        ):
+        of_blocks = block_means(amounts[is_known], blocks[is_known])
+        if _is_beyond(model, of_blocks, limit, is_change=is_change):
             named[name] = means[name]
     return [name for name in named if name not in _weaker(named)]
 
 
-def _mean(values: FloatArray) -> float:
-    return float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
+def _mean(values: pd.Series[float]) -> float | None:
+    """Mean of the values that are known; None if none is."""
+    return float(values.mean()) if values.notna().any() else None
 
 
 def _is_beyond(model: CauseModel, means: FloatArray, limit: float, *, is_change: bool) -> bool:
@@ -327,11 +303,13 @@ def cause_interval(
     return mean, mean - reach, mean + reach
 
 
-def _cause(model: CauseModel, values: CauseValues, amounts: FloatArray, blocks: IntArray) -> Cause:
-    is_known = ~np.isnan(amounts)
-    mean, low, high = cause_interval(model, amounts[is_known], blocks[is_known])
+def _cause(name: str, rows: pd.DataFrame, blocks: IntArray) -> Cause:
+    model = CAUSES[name]
+    is_known = rows["amount"].notna().to_numpy()
+    known = rows[is_known]
+    mean, low, high = cause_interval(model, known["amount"].to_numpy(), blocks[is_known])
     return Cause(
-        name=model.name,
+        name=name,
         kind=model.kind,
         words=cause_words(model, mean),
         setting=model.setting,
@@ -339,17 +317,12 @@ def _cause(model: CauseModel, values: CauseValues, amounts: FloatArray, blocks: 
         low=low,
         high=high,
         unit=model.unit,
-        n_pairs=int(is_known.sum()),
-        real=_known_mean(values.real, is_known),
-        sim=_known_mean(values.sim, is_known),
-        share=_known_mean(values.share, is_known) or 0.0,
+        n_pairs=len(known),
+        real=_mean(known["real"]),
+        sim=_mean(known["sim"]),
+        share=_mean(known["share"]) or 0.0,
         limbs=model.limbs,
     )
-
-
-def _known_mean(values: FloatArray, is_chosen: BoolArray) -> float | None:
-    chosen = values[is_chosen & ~np.isnan(values)]
-    return float(chosen.mean()) if len(chosen) else None
 
 
 def cause_words(model: CauseModel, amount: float) -> str:

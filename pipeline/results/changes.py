@@ -7,7 +7,7 @@ estimates; so a change of the pose or of the world counts only if undoing it bri
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -15,9 +15,8 @@ from typing import TypeVar
 import numpy as np
 import pandas as pd
 
-from ...schemas.cause_catalogue import CAUSES, FLAT, PARAMETERS
-from ...schemas.columns import Row
-from ...schemas.results import Cause
+from ...schemas.cause_catalogue import CAUSES, FLAT, PARAMETERS, CauseModel
+from ...schemas.results import Cause, ChangedCause
 from ...stages.arrays import FloatArray, IntArray, transform_of
 from ...stages.causes.estimates import estimate_between
 from ...stages.causes.gain import Shares, changes
@@ -25,18 +24,18 @@ from ...stages.causes.pose import fit_pose
 from ...stages.causes.sides import Side, recorded_side
 from ...stages.frame_search import FrameCheck
 from ...stages.sensor_description import SensorDescription
+from ...stages.statistics.bands import evenly
 from ...stages.statistics.comparison import block_means
-from ...stages.statistics.findings import evenly
 from ..engine.progress import Reporter
 from ..engine.tasks import map_tasks
 from ..jobs.gains_job import SEED
-from ..jobs.points_job import CUT_COLUMNS, cut_scan
+from ..jobs.points_job import cut_scan
 from ..stage import FRAMES
 from ..storage.folder import RunFolder
 from ..storage.run_record import read_run
 from .causes import (
     LEAST_PART_OF_POSE,
-    CauseValues,
+    CauseRows,
     cause_words,
     changed_causes,
     independent_blocks,
@@ -71,24 +70,6 @@ _Task = tuple[Path, Path, str, dict[str, float]]
 _Undone = tuple[Shares, float, float]
 #: Part of the distance between the simulated scans from which a gain counts more than what no correction undoes.
 _LEAST_GAIN = 0.1
-
-
-@dataclass(frozen=True)
-class ChangedCause:
-    """A cause that changed.
-
-    cause : the change, with its interval
-    before, after : mean amounts of both runs, simulated minus real; `before` is null if it is unknown
-    verdict : "worse" or "better" for a cause of the sensor or its pose, "changed" if that cannot be told; "" for one
-        of the world, about which the families decide
-    words : what changed, as a sentence
-    """
-
-    cause: Cause
-    before: float | None
-    after: float | None
-    verdict: str
-    words: str
 
 
 @dataclass(frozen=True)
@@ -135,7 +116,7 @@ def find_changes(
     if undone:
         confirmed, doubtful = confirm_changes(confirmed, [gains for gains, _, _ in undone])
         elsewhere = elsewhere_share([shares for _, *shares in undone])
-    changed = [_changed(cause, before, after, blocks) for cause in confirmed]
+    changed = [_with_verdict(cause, before, after, blocks) for cause in confirmed]
     return Changes(tuple(changed), tuple(cause.words for cause in doubtful), elsewhere)
 
 
@@ -152,18 +133,13 @@ def _map_pairs(
     reporter: Reporter | None,
 ) -> dict[str, Result]:
     """Results by pair, without those that are empty and those of one simulated scan in both runs."""
-    tasks = {
-        name: (base.folder, other.folder, name, excess)
-        for name in names
-        if not _is_same_scan(base, other, name)
-    }
+    tasks = {}
+    for name in names:
+        if not _is_same_scan(base, other, name):
+            tasks[name] = (base.folder, other.folder, name, excess)
     n_workers = None if len(tasks) > _FEW else 1
     results, _ = map_tasks(function, tasks, reporter or Reporter(), n_workers=n_workers)
-    found = {}
-    for name in tasks:
-        if result := results.get(name):
-            found[name] = result
-    return found
+    return {name: result for name in tasks if (result := results.get(name))}
 
 
 def _measure_between(
@@ -173,10 +149,10 @@ def _measure_between(
     chosen = [names[i] for i in evenly(len(names), MOST_BETWEEN)]
     same = [name for name in chosen if _is_same_scan(base, other, name)]
     measured = _map_pairs(measure_between, base, other, chosen, {}, reporter)
-    if 2 * (len(chosen) - len(same) - len(measured)) >= len(chosen):
+    if 2 * (len(same) + len(measured)) <= len(chosen):
         return {}
     amounts = pd.DataFrame.from_dict(measured, orient="index", dtype=np.float64)
-    causes = [*PARAMETERS, *amounts.columns.difference([*PARAMETERS])]
+    causes = amounts.columns.union([*PARAMETERS])
     amounts = amounts.reindex(index=[*names], columns=causes)
     amounts.loc[same] = 0.0
     return {cause: amounts[cause].to_numpy() for cause in causes}
@@ -198,7 +174,7 @@ def measure_between(task: _Task) -> dict[str, float]:
 def _sim_side(folder: Path, pair_id: str) -> Side:
     """The simulated side of a pair of a run."""
     store = RunFolder(folder)
-    ground = store.read_table("ground", pair_id, "sim", list(CUT_COLUMNS))
+    ground = store.read_table("ground", pair_id, "sim")
     jobs = store.ledger.jobs(pair_id)
     sensor = SensorDescription(**jobs["sensor", "sim"].metadata["sensor"])
     moved = jobs["ground", "sim"].metadata["T_real_sim"]
@@ -264,28 +240,37 @@ def undo_changes(task: _Task) -> _Undone | None:
     return changes(base, sim, fit[0], excess, np.random.default_rng(SEED))
 
 
-def _changed(
-    cause: Cause,
-    before: Mapping[str, CauseValues],
-    after: Mapping[str, CauseValues],
-    blocks: IntArray,
+def _with_verdict(
+    cause: Cause, before: CauseRows, after: CauseRows, blocks: IntArray
 ) -> ChangedCause:
-    model = CAUSES[cause.name]
-    first = _mean(before[cause.name].amount, blocks)
-    last = None if first is None else first + cause.estimate
-    if cause.name not in PARAMETERS:
-        last = _mean(after[cause.name].amount, blocks)
-    verdict = ""
-    if model.kind == "sensor":
-        verdict = _verdict(first, last, model.resolution)
-    return ChangedCause(cause, first, last, verdict, _words(cause, first, last))
+    """A change with the amounts of both runs, its verdict, and both amounts in its words if there was one before."""
+    resolution = CAUSES[cause.name].resolution
+    first = _mean(before[cause.name], blocks)
+    last = _mean(after[cause.name], blocks)
+    if cause.name in PARAMETERS:
+        last = None if first is None else first + cause.estimate
+    verdict = _verdict(first, last, resolution) if cause.kind == "sensor" else ""
+    words = cause.words
+    if first is not None and last is not None and abs(first) > resolution:
+        words = _words_of_both(CAUSES[cause.name], first, last)
+    update = {"before": first, "after": last, "verdict": verdict, "words": words}
+    return ChangedCause(**cause.model_dump(exclude_unset=True) | update)
 
 
-def _mean(amounts: FloatArray, blocks: IntArray) -> float | None:
-    """Mean over places of the amounts that are known; None if none is."""
-    if np.isnan(amounts).all():
-        return None
-    return float(np.nanmean(block_means(amounts, independent_blocks(blocks))))
+def _words_of_both(model: CauseModel, before: float, after: float) -> str:
+    """A cause with its amounts in both runs."""
+    if abs(after) <= model.resolution:
+        sign = "-" if before < 0 else "+"
+        return f"{model.name}: no difference left, before {sign}{size_words(before, model.unit)}"
+    is_alike = (before < 0) == (after < 0)
+    size = size_words(before, model.unit) if is_alike else cause_words(model, before)
+    return f"{cause_words(model, after)}, before {size}"
+
+
+def _mean(rows: pd.DataFrame, blocks: IntArray) -> float | None:
+    """Mean over places of the amounts of a cause that are known; None if none is."""
+    means = block_means(rows["amount"].to_numpy(), independent_blocks(blocks))
+    return None if np.isnan(means).all() else float(np.nanmean(means))
 
 
 def _verdict(before: float | None, after: float | None, resolution: float) -> str:
@@ -298,36 +283,3 @@ def _verdict(before: float | None, after: float | None, resolution: float) -> st
     if abs(nearer) <= resolution / 2:
         return "changed"
     return "better" if nearer > 0 else "worse"
-
-
-def _words(cause: Cause, before: float | None, after: float | None) -> str:
-    """The change as a sentence; with both amounts if there was one before."""
-    model = CAUSES[cause.name]
-    if before is None or after is None or abs(before) <= model.resolution:
-        return cause_words(model, cause.estimate)
-    was, now = [
-        ("-" if amount < 0 else "+") + size_words(amount, cause.unit) for amount in (before, after)
-    ]
-    if abs(after) <= model.resolution:
-        now = "no difference left"
-    return f"{cause.name}: {now}, before {was}"
-
-
-def change_rows(changes_found: Changes) -> list[Row]:
-    """One row per changed cause, for programs."""
-    return [
-        {
-            "cause": changed.cause.name,
-            "kind": changed.cause.kind,
-            "verdict": changed.verdict,
-            "words": changed.words,
-            "before": changed.before,
-            "after": changed.after,
-            "change": changed.cause.estimate,
-            "low": changed.cause.low,
-            "high": changed.cause.high,
-            "unit": changed.cause.unit,
-            "setting": changed.cause.setting,
-        }
-        for changed in changes_found.causes
-    ]

@@ -16,15 +16,20 @@ import numpy as np
 import pandas as pd
 
 from ...schemas.errors import RunError
-from ...schemas.metric_catalogue import SEEDED_SCORES
+from ...schemas.metric_catalogue import SEEDED_SCORES, scores_of
 from ...schemas.results import JsonObject
 from ...stages.arrays import IntArray
 from ...stages.statistics.comparison import LEAST_FLIPPED, LEAST_PAIRS
-from ...stages.statistics.spread import spread
 from ..engine.progress import Reporter
-from .changes import Changes, change_rows, find_changes
+from .changes import Changes, find_changes
 from .families import FamilyChange, ScoreChange, ScoredPairs, judge_families, overall, score_rows
-from .finished import FinishedRun, partition_note, settings_changes, version_changes
+from .finished import (
+    FinishedRun,
+    pairs_left_out,
+    partition_note,
+    settings_changes,
+    version_changes,
+)
 from .followed import CHANGE_COLUMNS, FOLLOWED_COLUMNS, KINDS, follow
 from .independence import pairs_and_places
 from .object_frame import plain_rows
@@ -32,6 +37,7 @@ from .sectors import N_SECTORS, sector_frame
 
 #: Largest number of runs in one command.
 MOST_RUNS = 8
+_TASKS = [*scores_of("task")]
 
 
 @dataclass
@@ -98,7 +104,7 @@ class Comparison:
     @property
     def causes(self) -> pd.DataFrame:
         """One row per cause that changed: amounts before and after, change with its 95 % interval, verdict, setting."""
-        return pd.DataFrame(change_rows(self.changes))
+        return pd.DataFrame([cause.as_dict() for cause in self.changes.causes])
 
     @property
     def table(self) -> pd.DataFrame:
@@ -122,7 +128,7 @@ class Comparison:
             "base": str(self.base),
             "other": str(self.other),
             "decision": self.decision,
-            "causes": change_rows(self.changes),
+            "causes": [cause.as_dict() for cause in self.changes.causes],
             "unexplained": self.changes.elsewhere,
             "families": [asdict(family) for family in self.families],
             "kinds": self.kinds,
@@ -162,13 +168,7 @@ def compare_runs(
                 "so that a difference need not be the simulator's; run both with the same "
                 "settings, or give --allow-different-settings"
             )
-        left_out = pairs_left_out(base, other)
-        names = [name for name in base.names if name not in left_out]
-        blocks = np.arange(len(names), dtype=np.int32) if independent else base.places(names)
-        comparison = _comparison(base, other, settings, left_out, blocks, independent=independent)
-        if names:
-            _compare(comparison, base, other, blocks, reporter)
-        comparisons.append(comparison)
+        comparisons.append(_comparison(base, other, settings, reporter, independent=independent))
     return comparisons
 
 
@@ -176,27 +176,24 @@ def _comparison(
     base: FinishedRun,
     other: FinishedRun,
     settings: Sequence[str],
-    left_out: dict[str, str],
-    blocks: IntArray,
+    reporter: Reporter | None,
     *,
     independent: bool,
 ) -> Comparison:
-    """A comparison without results: the pairs of both runs, and what else differs."""
+    """A run against the base; `settings` are those that differ."""
+    left_out = pairs_left_out(base, other)
     names = [name for name in base.names if name not in left_out]
-    lost = [name for name in base.names if name in left_out]
-    failed = [name for name in lost if other.rows_by_name.get(name, {}).get("status") == "failed"]
-    if not names and not failed:
-        reasons = [f"{name!r}: {reason}" for name, reason in left_out.items()]
-        why = "; ".join(reasons[:3]) or "no pair is scored"
-        raise RunError(f"runs {base.folder} and {other.folder}: no pair can be compared ({why})")
+    blocks = np.arange(len(names), dtype=np.int32) if independent else base.places(names)
     n_places = len(np.unique(blocks))
-    return Comparison(
+    lost = [name for name in base.names if name in left_out]
+    failed = {row["pair_id"] for row in other.rows if row["status"] == "failed"}
+    comparison = Comparison(
         base=base.folder,
         other=other.folder,
         pairs=tuple(names),
         left_out=left_out,
         lost=tuple(lost),
-        failed=tuple(failed),
+        failed=tuple(name for name in lost if name in failed),
         settings=tuple(settings),
         notes=tuple(_notes(base, other)),
         n_places=n_places,
@@ -204,6 +201,13 @@ def _comparison(
         by_direction=n_places < min(LEAST_FLIPPED, len(names)),
         on_partition=partition_note((base, other)),
     )
+    if names:
+        _compare(comparison, base, other, blocks, reporter)
+    elif not comparison.failed:
+        reasons = [f"{name!r}: {reason}" for name, reason in left_out.items()]
+        why = "; ".join(reasons[:3]) or "no pair is scored"
+        raise RunError(f"runs {base.folder} and {other.folder}: no pair can be compared ({why})")
+    return comparison
 
 
 def _compare(
@@ -214,53 +218,38 @@ def _compare(
     reporter: Reporter | None,
 ) -> None:
     """Add the causes, families and objects to a comparison."""
+    runs = (base, other)
     names = comparison.pairs
     changes = comparison.changes = find_changes(base, other, names, blocks, reporter)
     sectors = None
     if comparison.by_direction:
-        of_sectors = [sector_frame(run, names) for run in (base, other)]
         directions = (N_SECTORS * blocks[:, None] + np.arange(N_SECTORS)).ravel().astype(np.int32)
-        sectors = ScoredPairs(of_sectors, directions)
+        sectors = ScoredPairs([sector_frame(run, names) for run in runs], directions)
         blocks = np.arange(len(names), dtype=np.int32)
+    scores = [run.scores.loc[[*names]] for run in runs]
+    if not _have_same_tasks(base, other):
+        scores = [frame.drop(columns=_TASKS, errors="ignore") for frame in scores]
     comparison.families = judge_families(
         base.preset if base.preset == other.preset else "paper",
-        ScoredPairs(_scores(base, other, names), blocks),
+        ScoredPairs(scores, blocks),
         sectors=sectors,
-        seed_noise=_noise_of_seeds(base, other, names),
-        worse_causes=[change.cause.name for change in changes.causes if change.verdict == "worse"],
+        seed_noise=_noise_of_seeds(runs, len(names)),
+        worse_causes=[cause.name for cause in changes.causes if cause.verdict == "worse"],
     )
-    real_objects = [run.objects_of(names, FOLLOWED_COLUMNS, ("real",)) for run in (base, other)]
+    real_objects = [run.objects_of(names, FOLLOWED_COLUMNS, ("real",)) for run in runs]
     comparison.objects, unfollowed = follow(*real_objects)
     comparison.unfollowed = tuple(unfollowed)
 
 
-def _scores(base: FinishedRun, other: FinishedRun, names: Sequence[str]) -> list[pd.DataFrame]:
-    """The rows of `pairs` of both runs, with the gaps of tasks where they have the same."""
-    frames = []
-    for run in (base, other):
-        frame = run.pairs.set_index("pair_id").loc[[*names]]
-        if base.record.tasks and other.record.tasks and _have_same_tasks(base, other):
-            frame = frame.join(run.task_gaps)
-        frames.append(frame)
-    return frames
-
-
-def _noise_of_seeds(
-    base: FinishedRun, other: FinishedRun, names: Sequence[str]
-) -> dict[str, float]:
+def _noise_of_seeds(runs: Sequence[FinishedRun], n_pairs: int) -> dict[str, float]:
     """Difference of two means over pairs that Louvain seeds alone make, by column, if both runs were repeated."""
-    if base.record.seeds is None or other.record.seeds is None:
-        return {}
-    seeds = [run.table("seeds", names).to_pandas() for run in (base, other)]
+    spreads = [run.record.seeds.dataset for run in runs if run.record.seeds is not None]
     noise = {}
     for column in SEEDED_SCORES:
-        least = []
-        for frame in seeds:
-            of_pairs = frame.pivot(index="pair_id", columns="seed", values=column)
-            least.append(spread(of_pairs.to_numpy()).least_pair)
+        least = [spread[column].least_pair for spread in spreads]
         known = [value for value in least if value is not None]
-        if len(known) == len(least):
-            noise[column] = math.hypot(*known) / math.sqrt(2 * len(names))
+        if len(known) == len(runs):
+            noise[column] = math.hypot(*known) / math.sqrt(2 * n_pairs)
     return noise
 
 
@@ -294,24 +283,3 @@ def _notes(base: FinishedRun, other: FinishedRun) -> list[str]:
 def _have_same_tasks(base: FinishedRun, other: FinishedRun) -> bool:
     """True if the tasks of both runs have the same settings."""
     return bool(base.record.settings.get("tasks") == other.record.settings.get("tasks"))
-
-
-def pairs_left_out(base: FinishedRun, other: FinishedRun) -> dict[str, str]:
-    """Pairs that cannot be compared, and why."""
-    why = {}
-    for name in sorted({*base.rows_by_name, *other.rows_by_name}):
-        hashes = [run.record.inputs.get(name, {}).get("real") for run in (base, other)]
-        reason = _unscored(other, name) or _unscored(base, name)
-        if reason:
-            why[name] = reason
-        elif hashes[0] is None or hashes[0] != hashes[1]:
-            why[name] = "the real scans differ"
-    return why
-
-
-def _unscored(run: FinishedRun, name: str) -> str:
-    """The reason for which a run has no scores of a pair; "" if it has."""
-    row = run.rows_by_name.get(name)
-    if row is None:
-        return f"not in {run.folder}"
-    return "" if row["status"] == "scored" else f"failed in {run.folder} ({row['reason']})"

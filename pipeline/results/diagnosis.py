@@ -7,13 +7,14 @@ the amounts that were corrected.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from ...schemas.cause_catalogue import BEST_CASE_ACCURACY, CAUSES, PARAMETERS
 from ...schemas.record import RunRecord
-from ...schemas.results import Cause, Diagnosis, Overview
-from ..stage import AMOUNTS, DISTANCES, Metadata
+from ...schemas.results import Cause, Diagnosis
+from ..stage import AMOUNTS, DISTANCES
 from ..storage.folder import RunFolder
 from .causes import least_part_of_pose
 
@@ -22,11 +23,6 @@ GAINS = "gains"
 LEAST_EXCESS_M = 0.005
 #: Part of what the other causes leave that a cause must explain, else fixing it would not help.
 LEAST_PART = 0.03
-
-
-def causes_to_correct(overview: Overview) -> list[Cause]:
-    """The causes of a run that the catalogue has; a run of another version may have others."""
-    return [cause for cause in overview.causes if cause.name in CAUSES]
 
 
 def diagnosis_of(store: RunFolder, record: RunRecord, pair_ids: Sequence[str]) -> Diagnosis | None:
@@ -38,40 +34,27 @@ def diagnosis_of(store: RunFolder, record: RunRecord, pair_ids: Sequence[str]) -
     """
     if record.overview is None:
         return None
-    causes = causes_to_correct(record.overview)
-    jobs = _gains_jobs(store, pair_ids, {cause.name: cause.estimate for cause in causes})
-    if not jobs:
-        return None
+    causes = record.overview.causes
+    amounts = {cause.name: cause.estimate for cause in causes}
+    distances_m = []
+    for pair_id in pair_ids:
+        job = store.ledger.jobs(pair_id).get((GAINS, ""))
+        if job is None or job.metadata[AMOUNTS] != amounts:
+            return None
+        distances_m.append(job.metadata[DISTANCES])
     table = store.read_pairs(pair_ids, {(GAINS, ""): ["cause", "gain_m"]})[GAINS, ""]
-    gains_m = {}
-    for name, of_pairs in table.groupby("cause")["gain_m"]:
-        gains_m[str(name)] = float(of_pairs.to_numpy().mean())
-    of_jobs = np.array([job[DISTANCES] for job in jobs])
-    before_m, after_m, best_case_m = of_jobs.mean(axis=0).tolist()
-    distances_m = before_m, after_m, best_case_m
-    confirmed, doubtful = confirm(causes, gains_m, distances_m)
+    gains_m: dict[Any, float] = table.groupby("cause")["gain_m"].mean().to_dict()
+    means_m = before_m, _, best_case_m = np.mean(distances_m, axis=0).tolist()
+    confirmed, doubtful = confirm(causes, gains_m, means_m)
     return Diagnosis(
         n_pairs=len(pair_ids),
         distance_m=before_m,
         best_case_m=best_case_m,
-        unexplained=unexplained_share(distances_m),
+        unexplained=unexplained_share(means_m),
         causes=tuple(confirmed),
         doubtful=tuple(cause.words for cause in doubtful),
         unknown=record.overview.unknown,
     )
-
-
-def _gains_jobs(
-    store: RunFolder, pair_ids: Sequence[str], amounts: Mapping[str, float]
-) -> list[Metadata]:
-    """What the jobs of the gains found in each pair; none if one is missing or corrected other amounts."""
-    found = []
-    for pair_id in pair_ids:
-        job = store.ledger.jobs(pair_id).get((GAINS, ""))
-        if job is None or job.metadata[AMOUNTS] != amounts:
-            return []
-        found.append(job.metadata)
-    return found
 
 
 def confirm(

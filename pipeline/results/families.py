@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from ...schemas.columns import Row
-from ...schemas.metric_catalogue import COVERAGE_REACHES, is_of_preset, metrics_in
+from ...schemas.metric_catalogue import COVERAGE_REACHES, Metric, is_of_preset, metrics_in
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.statistics.comparison import (
     ALIKE,
@@ -33,15 +33,6 @@ from ...stages.statistics.comparison import (
 ERROR_RATE = 1 - CONFIDENCE
 SURFACE_MISSING, SURFACE_INVENTED, OBJECTS = "surface missing", "surface invented", "objects"
 TASKS = "tasks"
-#: Compared gaps of tasks: heading, and step of the share (objects are few).
-_TASK_SCORES = {
-    "objects.lost": ("obstacles lost", 0.04),
-    "objects.added": ("obstacles added", 0.04),
-    "occupancy.mismatch": ("occupancy mismatch", 0.0),
-    "occupancy.wrongly_free": ("occupied map free", 0.0),
-    "free_space.too_far": ("free space too long", 0.0),
-}
-_LEAST_GAP = 0.005
 MARKS_NOTE = "↑ higher is better, ↓ lower is better"
 
 
@@ -61,42 +52,10 @@ class ScoredPairs:
         frames = [frame.reindex(columns=columns) for frame in self.frames]
         return np.stack([frame.to_numpy(np.float64).T for frame in frames])
 
-
-@dataclass(frozen=True)
-class ComparedScore:
-    """One score of pairs.
-
-    heading : with the unit
-    column : of `pairs`, or the name of a gap of a task
-    least : a change of the mean up to this size does not matter to a user
-    step : smallest step of the value, such as 1 for a count
-    """
-
-    family: str
-    heading: str
-    column: str
-    higher_is_better: bool
-    least: float
-    step: float
-
-
-def compared_scores(preset: str) -> list[ComparedScore]:
-    """The scores of all families; those of objects differ between presets."""
-    scores = [
-        ComparedScore(
-            family=metric.family,
-            heading=metric.compared_as or metric.label,
-            column=metric.pair_column,
-            higher_is_better=metric.higher_is_better,
-            least=metric.least or 0.0,
-            step=metric.step or 0.0,
-        )
-        for metric in metrics_in("compare")
-        if is_of_preset(metric.pair_column, preset)
-    ]
-    for column, (heading, step) in _TASK_SCORES.items():
-        scores.append(ComparedScore(TASKS, heading, column, False, _LEAST_GAP, step))
-    return scores
+    def changes(self, columns: list[str]) -> FloatArray:
+        """(m, b) mean of after - before over the rows of each block, by column."""
+        before, after = self.values(columns)
+        return block_means(after - before, self.blocks)
 
 
 @dataclass
@@ -136,19 +95,19 @@ class ScoreChange:
 class FamilyChange:
     """The decision of one family.
 
+    scores : those that have values, the one that changed most clearly first
     verdict : better, worse, mixed, same or undecided
     p : smallest of its scores, adjusted for all families (Holm); None if no score can be tested
     why : reason for which the verdict does not count in the overall decision; "" if it counts
     tendency : worse or better if it is not decided and p before Holm is below 5 %, else ""
-    scores : those that have values, the one that changed most clearly first
     """
 
     name: str
-    verdict: str
-    p: float | None
-    why: str
-    tendency: str
     scores: tuple[ScoreChange, ...]
+    verdict: str = "undecided"
+    p: float | None = None
+    why: str = ""
+    tendency: str = ""
 
     @property
     def called(self) -> str:
@@ -177,21 +136,26 @@ def judge_families(
     seed_noise : by column of `pairs`, see `ScoreChange`
     worse_causes : causes of the sensor that became worse, from which improvements of a family may follow
     """
-    by_family: dict[str, list[ComparedScore]] = {}
-    for score in compared_scores(preset):
-        by_family.setdefault(score.family, []).append(score)
+    by_family: dict[str, list[Metric]] = {}
+    for metric in metrics_in("compare"):
+        if is_of_preset(metric.pair_column, preset):
+            by_family.setdefault(metric.family, []).append(metric)
     families = []
-    for name, scores in by_family.items():
-        changes = _changes(scores, pairs, sectors, seed_noise or {})
-        if changes:
-            p = min((change.p for change in changes if change.p is not None), default=None)
-            families.append(FamilyChange(name, "undecided", p, "", "", changes))
+    for name, metrics in by_family.items():
+        if scores := _changes(metrics, pairs, sectors, seed_noise or {}):
+            families.append(FamilyChange(name, scores))
+    smallest = []
+    for family in families:
+        known = [score.p for score in family.scores if score.p is not None]
+        smallest.append(min(known, default=None))
     are_few = len(np.unique(pairs.blocks)) < LEAST_PAIRS
-    for family, p in zip(families, holm([family.p for family in families]), strict=True):
-        _decide_scores(family, p, are_few=are_few)
+    for family, p, adjusted in zip(families, smallest, holm(smallest), strict=True):
+        if p is not None and p < ERROR_RATE:
+            family.tendency = family.scores[0].towards
+        _decide_scores(family, adjusted, are_few=are_few)
     worse = []
     for family in families:
-        if any(change.verdict == "worse" for change in family.scores):
+        if any(score.verdict == "worse" for score in family.scores):
             worse.append(family.name)
     is_more_right = _is_more_right(pairs)
     for family in families:
@@ -200,17 +164,17 @@ def judge_families(
 
 
 def _changes(
-    scores: Sequence[ComparedScore],
+    metrics: Sequence[Metric],
     pairs: ScoredPairs,
     sectors: ScoredPairs | None,
     seed_noise: Mapping[str, float],
 ) -> tuple[ScoreChange, ...]:
     """The scores of a family that have values, without verdicts, the most clearly changed first."""
-    before, after = pairs.values([score.column for score in scores])
+    before, after = pairs.values([metric.pair_column for metric in metrics])
+    p_values = _p_values(metrics, pairs, sectors).tolist()
     changes = []
-    for i, p in enumerate(_p_values(scores, pairs, sectors).tolist()):
-        score = scores[i]
-        difference = paired_difference(before[i], after[i], pairs.blocks)
+    for metric, first, last, p in zip(metrics, before, after, p_values, strict=True):
+        difference = paired_difference(first, last, pairs.blocks)
         if not difference.n_pairs:
             continue
         is_same = difference.low == difference.high == 0
@@ -218,15 +182,15 @@ def _changes(
         towards = ""
         if difference.size > ALIKE and not is_same:
             is_higher = (difference.difference or 0.0) > 0
-            towards = "better" if is_higher == score.higher_is_better else "worse"
+            towards = "better" if is_higher == metric.higher_is_better else "worse"
         change = ScoreChange(
-            name=score.heading,
-            mark="↑" if score.higher_is_better else "↓",
+            name=metric.compared_as or metric.label,
+            mark="↑" if metric.higher_is_better else "↓",
             difference=difference,
             verdict="same" if is_same else "undecided",
             p=None if is_same or math.isnan(p) else p,
             towards=towards,
-            seed_noise=seed_noise.get(score.column),
+            seed_noise=seed_noise.get(metric.pair_column),
         )
         changes.append(change)
     return tuple(sorted(changes, key=_clearest_first))
@@ -239,20 +203,18 @@ def _clearest_first(change: ScoreChange) -> tuple[float, float]:
 
 
 def _p_values(
-    scores: Sequence[ComparedScore], pairs: ScoredPairs, sectors: ScoredPairs | None
+    metrics: Sequence[Metric], pairs: ScoredPairs, sectors: ScoredPairs | None
 ) -> FloatArray:
     """p-values over the pairs, or the larger ones of pairs and sectors; 1 if a score is not known by direction."""
-    columns = [score.column for score in scores]
-    least = np.array([score.least for score in scores])
-    step = np.array([score.step for score in scores])
-    before, after = pairs.values(columns)
-    p_values = adjusted_p_values(block_means(after - before, pairs.blocks), least, step)
+    columns = [metric.pair_column for metric in metrics]
+    least = np.array([metric.least for metric in metrics])
+    step = np.array([metric.step or 0.0 for metric in metrics])
+    p_values = adjusted_p_values(pairs.changes(columns), least, step)
     if sectors is None:
         return p_values
-    before, after = sectors.values(columns)
-    change = block_means(after - before, sectors.blocks)
+    change = sectors.changes(columns)
     is_known = ~np.isnan(change).all(axis=1)
-    by_sector = np.ones(len(scores))
+    by_sector = np.ones(len(metrics))
     by_sector[is_known] = adjusted_p_values(
         change[is_known], least[is_known], np.zeros(is_known.sum())
     )
@@ -268,8 +230,6 @@ def _decide_scores(family: FamilyChange, p: float | None, *, are_few: bool) -> N
     p : after Holm
     are_few : few pairs cannot lower p-values of 1, which are left out
     """
-    if family.p is not None and family.p < ERROR_RATE:
-        family.tendency = family.scores[0].towards
     is_decided = p is not None and p < ERROR_RATE
     for change in family.scores:
         is_clear = change.p is not None and change.p < ERROR_RATE
@@ -337,20 +297,6 @@ def score_rows(families: Sequence[FamilyChange]) -> list[Row]:
     rows = []
     for family in families:
         for score in family.scores:
-            change = score.difference
-            rows.append(
-                {
-                    "family": family.name,
-                    "score": score.name,
-                    "better is": score.mark,
-                    "verdict": score.verdict,
-                    "pairs": change.n_pairs,
-                    "before": change.before,
-                    "after": change.after,
-                    "change": change.difference,
-                    "from": change.low,
-                    "to": change.high,
-                    "p": score.p,
-                }
-            )
+            row = {"family": family.name, "score": score.name, "better is": score.mark}
+            rows.append(row | vars(score.difference) | {"p": score.p, "verdict": score.verdict})
     return rows

@@ -11,6 +11,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +25,6 @@ from ...schemas.record import RunRecord, TaskSummary
 from ...schemas.results import Cause, Diagnosis, Overview, Unknown
 from ...schemas.tables import PAIR_TABLES, TABLES
 from ...stages.arrays import IntArray
-from ..datasets.pairs import MANIFEST
 from ..storage.files import path_exists
 from ..storage.folder import RunFolder
 from ..storage.run_record import RUN_JSON, command_again, read_run
@@ -43,35 +43,33 @@ _OF_RUN = ("pairs", "timings")
 def record_of_run(folder: Path) -> dict[str, Any]:
     """The record of a run; raises `RunError` with the next step if the folder holds none."""
     shown = url_or_path(folder)
-    if folder.is_file():
-        raise RunError(f"run {shown}: expected a folder, such as {folder.parent}, got a file")
-    if path_exists(folder / RUN_JSON):
-        record = read_run(folder)
-        if not record:
-            again = command_again(folder, "DATASET")
-            raise RunError(
-                f"run {shown}: {RUN_JSON} is damaged; run it again with: {again} "
-                "(intact results are reused)"
+    quoted = shlex.quote(shown)
+    if not path_exists(folder / RUN_JSON):
+        problem = "no such folder"
+        hint = f"make a run: fidpipe run DATASET --out {quoted}"
+        if folder.is_file():
+            problem = "it is a file"
+        elif folder.is_dir():
+            problem = f"no {RUN_JSON} found"
+            hint = (
+                "if it holds a dataset, evaluate it: "
+                f"fidpipe run {quoted} --out runs/{folder.resolve().name}; if it holds scans, "
+                f"evaluate them: fidpipe run {quoted} SIM"
             )
-        if made_by := record.get("experiment"):
-            raise RunError(
-                f"run {shown}: expected a folder written by fidpipe run, got one of fidpipe "
-                f"{made_by}; its tables are {shown}/{made_by}*.parquet"
-            )
-        return record
-    names = sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
-    runs = [str(folder / name) for name in names if path_exists(folder / name / RUN_JSON)]
-    if {*SIDES, MANIFEST}.intersection(names):
-        command = f"fidpipe run {shlex.quote(shown)} --out runs/{folder.resolve().name}"
-        hint = f"it holds a dataset, evaluate it: {command}"
-    elif runs:
-        hint = f"it holds runs: {shlex.join(runs[:3])}{' ...' if len(runs) > 3 else ''}"
-    elif names:
-        hint = f"if it holds scans, evaluate them: fidpipe run {shlex.quote(shown)} SIM"
-    else:
-        hint = f"make a run: fidpipe run DATASET --out {shlex.quote(shown)}"
-    problem = f"no {RUN_JSON} found" if folder.is_dir() else "no such folder"
-    raise RunError(f"run {shown}: {problem}, expected a folder written by fidpipe run; {hint}")
+        raise RunError(f"run {shown}: {problem}, expected a folder written by fidpipe run; {hint}")
+    record = read_run(folder)
+    if not record:
+        again = command_again(folder, "DATASET")
+        raise RunError(
+            f"run {shown}: {RUN_JSON} is damaged; run it again with: {again} "
+            "(intact results are reused)"
+        )
+    if made_by := record.get("experiment"):
+        raise RunError(
+            f"run {shown}: expected a folder written by fidpipe run, got one of fidpipe "
+            f"{made_by}; its tables are {shown}/{made_by}*.parquet"
+        )
+    return record
 
 
 class FinishedRun:
@@ -113,6 +111,13 @@ class FinishedRun:
         """One row per pair, failed ones with their reason; its columns are in `schemas/tables.csv`."""
         return _frame(self.table("pairs"))
 
+    @cached_property
+    def scores(self) -> pd.DataFrame:
+        """(scored pairs, scores) the numbers of `pairs`, and the gaps of tasks by names such as `objects.lost`."""
+        scores = self.pairs.set_index("pair_id").loc[self.names]
+        scores = scores.select_dtypes("number").astype(np.float64)
+        return scores.join(self.task_gaps) if self.record.tasks else scores
+
     @property
     def objects(self) -> pd.DataFrame:
         """One row per object of either side of all scored pairs, with place, coverage, class, fate and scores.
@@ -127,10 +132,8 @@ class FinishedRun:
         RunError
             No pair is scored, or a table is damaged.
         """
-        frame = self.objects_of(self.select()).rename(columns=WITH_UNITS)
-        first = ["pair_id", "side", "community_id", "fate", "partner", "label", "shape"]
-        others = frame.columns.difference([*first, "pair", "band"], sort=False)
-        return frame[[*first, *others]]
+        objects = self.objects_of(self.select()).rename(columns=WITH_UNITS)
+        return objects.drop(columns=["pair", "band"])
 
     @property
     def metrics(self) -> pd.DataFrame:
@@ -277,9 +280,7 @@ class FinishedRun:
     def row(self, pair_id: str) -> Row:
         """The row of a pair; `RunError` if the run does not have it."""
         if pair_id not in self.rows_by_name:
-            near = (
-                sorted(get_close_matches(pair_id, self.rows_by_name, 3)) or [*self.rows_by_name][:3]
-            )
+            near = get_close_matches(pair_id, self.rows_by_name) or [*self.rows_by_name][:3]
             raise RunError(
                 f"run {self.folder}: no pair {pair_id!r} among its {len(self.rows)}; "
                 f"it has {', '.join(repr(name) for name in near)} ..."
@@ -300,8 +301,8 @@ class FinishedRun:
             A pair failed, or a table is damaged or gone.
         """
         names = [self._scored(name) for name in pairs]
-        is_by_reference = self.is_by_reference
-        return object_frame(self.store, names, columns, by_reference=is_by_reference, sides=sides)
+        by_reference = self.is_by_reference
+        return object_frame(self.store, names, columns, by_reference=by_reference, sides=sides)
 
     @property
     def is_by_reference(self) -> bool:
@@ -334,19 +335,18 @@ def _frame(table: pa.Table) -> pd.DataFrame:
     return frame
 
 
+#: Why a pair of two runs is not one.
+OTHER_SCAN = "the real scans differ"
 #: How the files of the simulated side are read: runs that differ in these alone can be compared.
-_OF_SIM_FILES = ("sim_columns", "sim_flip_y", "sim_frame")
+_OF_SIM_FILES = ("sim_columns", "sim_frame")
 
 
 def settings_changes(base: FinishedRun, other: FinishedRun) -> list[str]:
     """Settings of the stages that every run has and that differ, as text; not how simulated files are read."""
     from ..jobs import STAGES  # with all libraries of the stages
 
-    groups: dict[str, None] = {}
-    for stage in STAGES:
-        groups |= dict.fromkeys(stage.settings)
     changes = []
-    for group in groups:
+    for group in dict.fromkeys(chain.from_iterable(stage.settings for stage in STAGES)):
         settings = [run.record.settings.get(group, {}) for run in (base, other)]
         for name, before, after in differences(*settings):
             if name not in _OF_SIM_FILES:
@@ -356,17 +356,37 @@ def settings_changes(base: FinishedRun, other: FinishedRun) -> list[str]:
 
 def version_changes(base: FinishedRun, other: FinishedRun) -> list[str]:
     """Versions of stages and of libraries that differ, as text."""
-    a, b = base.record, other.record
-    stages = [
-        f"code of stage {name}: {x} and {y}" for name, x, y in differences(a.stages, b.stages)
-    ]
-    libraries = differences(a.libraries, b.libraries)
-    return stages + [f"library {name}: {x} and {y}" for name, x, y in libraries]
+    changes = []
+    for what, field in (("code of stage", "stages"), ("library", "libraries")):
+        versions = [getattr(run.record, field) for run in (base, other)]
+        changes += [f"{what} {name}: {x} and {y}" for name, x, y in differences(*versions)]
+    return changes
 
 
 def differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:
     """The keys whose values differ, with both values; None if absent."""
     return [(key, a.get(key), b.get(key)) for key in {**a, **b} if a.get(key) != b.get(key)]
+
+
+def pairs_left_out(base: FinishedRun, other: FinishedRun) -> dict[str, str]:
+    """Pairs that cannot be compared, and why."""
+    why = {}
+    for name in sorted({*base.rows_by_name, *other.rows_by_name}):
+        hashes = [run.record.inputs.get(name, {}).get("real") for run in (base, other)]
+        reason = _unscored(other, name) or _unscored(base, name)
+        if reason:
+            why[name] = reason
+        elif hashes[0] is None or hashes[0] != hashes[1]:
+            why[name] = OTHER_SCAN
+    return why
+
+
+def _unscored(run: FinishedRun, name: str) -> str:
+    """The reason for which a run has no scores of a pair; "" if it has."""
+    row = run.rows_by_name.get(name)
+    if row is None:
+        return f"not in {run.folder}"
+    return "" if row["status"] == "scored" else f"failed in {run.folder} ({row['reason']})"
 
 
 def partition_note(runs: Sequence[FinishedRun]) -> str:
@@ -413,12 +433,11 @@ def pair_objects(run: FinishedRun, pair_id: str) -> list[Row]:
     for (side, number), row in rows.items():
         if row["fate"] == "extra":
             alone.append({"real": None, "sim": row})
-        elif side == "real" and row["fate"] == "matched":
-            matched.append({"real": row, "sim": rows["sim", row["partner"]]})
+        elif row["fate"] == "not_found":
+            few = rows.get(("sim", number), {"fate": None})
+            alone.append({"real": row, "sim": few if few["fate"] == "remnant" else None})
         elif side == "real":
-            few = rows.get(("sim", number))
-            is_remnant = few is not None and few["fate"] == "remnant"
-            alone.append({"real": row, "sim": few if is_remnant else None})
+            matched.append({"real": row, "sim": rows["sim", row["partner"]]})
     return matched + alone
 
 

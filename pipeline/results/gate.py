@@ -78,6 +78,27 @@ class Judged(Criterion):
     passed: bool = False
     why: str = ""
 
+    @property
+    def fault(self) -> str:
+        """The kind of violation; "" if it is met."""
+        if self.passed:
+            return ""
+        return "not computed" if self.value is None else "bound"
+
+    @property
+    def bound_words(self) -> str:
+        """The bound, such as `<= 0.4`."""
+        return f"{'<=' if self.bound == 'max' else '>='} {self.limit:g}"
+
+    @property
+    def found(self) -> str:
+        """The name, the value found and the bound, or why it is not known, and the reason of the criterion."""
+        words = self.why
+        if self.value is not None:
+            words = f"{self.measure} is {self.value:.6g}, expected {self.bound_words}"
+        reason = f" ({self.reason})" if self.reason else ""
+        return f"{self.name}: {words}{reason}"
+
 
 @dataclass(frozen=True)
 class GateResult:
@@ -206,7 +227,7 @@ def judge_comparison(
     for change in comparison.changes.causes:
         if change.verdict:
             fault = change.verdict if change.verdict == "worse" else ""
-            checks.append(Check(f"{change.cause.name} is not worse", change.words, fault))
+            checks.append(Check(f"{change.name} is not worse", change.words, fault))
     for family in comparison.families:
         fault = family.verdict if family.verdict in ("worse", "mixed") and not family.why else ""
         checks.append(Check(f"{family.name} is not worse", _found(family), fault))
@@ -271,17 +292,15 @@ def read_criteria(path: Path) -> list[Criterion]:
         ) from error
     criteria: list[Criterion] = []
     for i, entry in enumerate(file.criterion):
-        of_entry = []
-        if entry.max is not None:
-            of_entry.append(Criterion(entry.name, entry.measure, "max", entry.max, entry.reason))
-        if entry.min is not None:
-            of_entry.append(Criterion(entry.name, entry.measure, "min", entry.min, entry.reason))
-        if not of_entry:
+        limits: dict[Bound, float | None] = {"max": entry.max, "min": entry.min}
+        if {*limits.values()} == {None}:
             raise SettingsError(
                 f"criteria file {path}: criterion.{i} ({entry.name}) has no bound; expected max or "
                 "min"
             )
-        criteria += of_entry
+        for bound, limit in limits.items():
+            if limit is not None:
+                criteria.append(Criterion(entry.name, entry.measure, bound, limit, entry.reason))
     return criteria
 
 

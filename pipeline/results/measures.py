@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...schemas.cause_catalogue import CAUSES, UNEVEN
-from ...schemas.columns import Row
 from ...schemas.data_files import read_rows
 from ...schemas.errors import (
     DatasetError,
@@ -21,17 +20,13 @@ from ...schemas.errors import (
     suggestion,
 )
 from ...schemas.metric_catalogue import (
-    COVERAGE_SCORES,
     DISTRIBUTED,
     METRIC,
     OBJECT_METRICS,
-    PIECE_SCORES,
     RAY_MEANS,
-    SURFACE_SCORES,
+    scores_of,
 )
-from ...schemas.results import Cause, Unknown
-from ...stages.arrays import FloatArray, IndexArray
-from ...stages.statistics.findings import distribution
+from ...schemas.results import Unknown
 from ..datasets.content import input_hashes
 from ..datasets.pairs import Dataset, local_folder, read_dataset
 from .best_case import RunExcess
@@ -41,20 +36,20 @@ from .odometry import compare_odometry
 if TYPE_CHECKING:
     import pandas as pd
 
-OF_PAIRS = ("mean", "std", "min", "median", "max")
-OF_OBJECTS = ("mean", "std", "min", "q05", "q25", "median", "q75", "q95", "max")
-COUNTS = ("total", "mean", "max", "share")
-PAIR_SCORES = (
-    "match_rate",
-    *OBJECT_METRICS,
-    *(metric.column for metric in (*SURFACE_SCORES, *PIECE_SCORES)),
-)
-#: Names by which a gate knows other columns: `covered.real.0.3m` is `covered_real_0p3m`, `rays.bias_m` `rays_bias_m`.
+_QUANTILES = {"min": 0, "q05": 0.05, "q25": 0.25, "median": 0.5, "q75": 0.75, "q95": 0.95, "max": 1}
+STATISTICS = ("mean", "std", *_QUANTILES)
+#: Of the double validation metric, over objects where a score has them.
+OF_DISTRIBUTIONS = ("bias", "area")
+COUNTS = ("total", "mean", "min", "max", "share")
+STATES = ("scored", "failed", "to_do", "changed", "frame_suspect")
+#: Columns of `pairs` by the name of their score.
+PAIR_SCORES = {
+    **{name: METRIC[name].pair_column for name in ("match_rate", *OBJECT_METRICS)},
+    **{name: name for name in scores_of("surface", "piece")},
+}
+#: And by names with dots: `covered.real.0.3m` is `covered_real_0p3m`, `rays.bias_m` is `rays_bias_m`.
 DOTTED = {
-    **{
-        metric.column.replace("_", ".").replace("p", "."): metric.column
-        for metric in COVERAGE_SCORES
-    },
+    **{name.replace("_", ".").replace("p", "."): name for name in scores_of("coverage")},
     **{column.replace("rays_", "rays."): column for column in RAY_MEANS},
 }
 #: Estimated properties of both sensors: `sensor.sim.range_noise_m` is the column `sensor_sim_range_noise_m`.
@@ -63,34 +58,21 @@ SENSOR_VALUES = {
     for row in read_rows("tables")
     if row["table"] == "pairs" and row["column"].startswith("sensor_")
 }
-#: Of the double validation metric, over objects where a score has them.
-OF_DISTRIBUTIONS = ("bias", "area")
-
-STATES = ("scored", "failed", "to_do", "changed", "frame_suspect")
-
-#: Measures of tasks: `tasks.objects.lost` is the mean of their gap, `tasks.objects.lost.max` its largest value.
-TASK_MEASURES = (
-    *("objects.lost", "objects.added", "objects.size_m", "objects.place_m"),
-    *("ground.disagreement", "ground.height_m"),
-    *("occupancy.mismatch", "occupancy.wrongly_free", "occupancy.wrongly_occupied"),
-    *("free_space.distance_m", "free_space.too_far"),
-)
+#: Gaps of tasks: `tasks.objects.lost` is the mean, `tasks.objects.lost.max` the largest value.
+TASK_GAPS = {f"tasks.{name}": name for name in scores_of("task")}
 #: Measures of odometry: `tasks.odometry.drift_m` is the gap over the longest sequence of scans.
 ODOMETRY_MEASURES = ("drift_m", "step_m", "turn_deg")
-
 #: Names of causes by that of the catalogue.
 CAUSE_NAMES = {name.replace(" ", "_"): name for name in CAUSES if name != UNEVEN}
-#: Ends of the 95 % interval of a cause.
-INTERVAL_ENDS = ("low", "high")
+_COLUMNS = PAIR_SCORES | DOTTED | SENSOR_VALUES | TASK_GAPS
 
 #: Names to guess from what a wrong one means.
 _EXAMPLES = (
-    *(f"{value}.mean" for value in (*PAIR_SCORES, *DOTTED, *SENSOR_VALUES)),
+    *(f"{name}.mean" for name in _COLUMNS),
     *(f"objects.{score}.q95" for score in DISTRIBUTED),
     *("not_found.within_20m", "not_found.share", "extra.within_20m", "extra.share", "matched.min"),
     *(f"pairs.{state}" for state in STATES),
     *(f"causes.{name}" for name in CAUSE_NAMES),
-    *(f"tasks.{measure}" for measure in TASK_MEASURES),
     *(f"tasks.odometry.{measure}" for measure in ODOMETRY_MEASURES),
 )
 
@@ -136,42 +118,45 @@ class Measures:
             pass  # it is there and cannot be read, which `_dataset` says
         return False
 
-    def _of_pairs(self, score: str, stat: str) -> float:
-        values = [row[_column(score)] for row in self.run.scored]
-        return _statistic(values, stat, "pair", score)
+    def _of_pairs(self, score: str, stat: str = "mean") -> float:
+        column = _COLUMNS[score]
+        if column not in self.run.scores:
+            raise _AbsentError(f"the run has no {score}; add it with fidpipe run --tasks")
+        return _statistic(self.run.scores[column], stat, "pair", score)
 
     def _over_best_case(self, score: str, stat: str) -> float:
         if self._excess is None:
             raise SettingsError(
                 f"criterion 'excess.{score}.{stat}': needs a best case; add --best-case RUN"
             )
-        excess = self._excess.scores[_column(score)]
-        values: list[float | None] = [*excess.of_pairs.values()]
-        if stat in OF_DISTRIBUTIONS:
-            values = [getattr(excess, stat)]
-            stat = "mean"
-        return _statistic(values, stat, "pair", f"{score} in both runs")
+        column = _COLUMNS[score]
+        score = f"{score} in both runs"
+        if stat not in OF_DISTRIBUTIONS:
+            return _statistic(self._excess.of_pairs[column], stat, "pair", score)
+        value: float | None = self._excess.scores[column][stat]
+        if value is None:
+            raise _AbsentError(f"no pair has a {score}")
+        return value
 
     def _of_objects(self, label: str | None, score: str, stat: str) -> float:
         objects = self._objects_of("real", label)
-        scores = objects.loc[objects["fate"] == "matched", score].to_numpy()
+        scores = objects.loc[objects["fate"] == "matched", score]
         what = "matched object" if label is None else f"matched object of class {label}"
         return _statistic(scores, stat, what, score)
 
-    def _unmatched(
-        self, label: str | None, what: str, within: str | None, count: str | None
-    ) -> float:
-        side = "real" if what == "not_found" else "sim"
+    def _count(self, label: str | None, fate: str, within: str | None, count: str | None) -> float:
+        """Number of objects of a fate: in all, by default, a statistic over pairs, or their share."""
+        side = "sim" if fate == "extra" else "real"
         objects = self._objects_of(side, label)
         if within is not None:
             objects = objects[objects["range_m"] < float(within)]
-        is_alone = objects["fate"] == what
+        has_fate = objects["fate"] == fate
         if count == "share":
             if objects.empty:
                 raise _AbsentError(f"the {side} side has no such object")
-            return float(is_alone.mean())
-        of_pairs = np.bincount(objects.loc[is_alone, "pair"], minlength=len(self.run.scored))
-        return _counted(of_pairs, count or "total")
+            return float(has_fate.mean())
+        of_pairs = np.bincount(objects.loc[has_fate, "pair"], minlength=len(self.run.names))
+        return float(of_pairs.sum() if count in (None, "total") else getattr(of_pairs, count)())
 
     def _objects_of(self, side: str, label: str | None) -> pd.DataFrame:
         """The objects of a side, or those of a class."""
@@ -185,68 +170,64 @@ class Measures:
             )
         return objects[objects["label"] == label]
 
+    @cached_property
+    def _objects(self) -> pd.DataFrame:
+        self._require_pairs()
+        objects = self.run.objects_of(self.run.names, ["range_m", "label", *DISTRIBUTED])
+        return objects[objects["fate"] != "remnant"]
+
     def _cause(self, cause: str, end: str | None) -> float:
         """Mean amount of a cause without its sign, or an end of its interval."""
-        amount = self._amounts[CAUSE_NAMES[cause]]
+        self._require_pairs()
+        amount = self.run.mean_amounts[CAUSE_NAMES[cause]]
         if isinstance(amount, Unknown):
             raise _AbsentError(amount.reason)
-        if end is None:
-            return abs(amount.estimate)
-        ends = (amount.low, amount.high) if amount.estimate >= 0 else (-amount.high, -amount.low)
-        return ends[INTERVAL_ENDS.index(end)]
+        sizes = {None: amount.estimate, "low": amount.low, "high": amount.high}
+        if amount.estimate < 0:
+            sizes = {None: -amount.estimate, "low": -amount.high, "high": -amount.low}
+        return sizes[end]
 
-    @property
-    def _amounts(self) -> dict[str, Cause | Unknown]:
-        if not self.run.scored:
+    def _require_pairs(self) -> None:
+        if not self.run.names:
             raise _AbsentError("no pair is scored")
-        return self.run.mean_amounts
-
-    def _task(self, measure: str, stat: str | None) -> float:
-        """A statistic over pairs of the gap of a task, by default the mean."""
-        gaps = self.run.task_gaps if self.run.record.tasks else None
-        if gaps is None or measure not in gaps:
-            raise _AbsentError(f"the run has no {measure}; add it with fidpipe run --tasks")
-        return _statistic(gaps[measure].to_numpy(), stat or "mean", "pair", f"gap {measure}")
 
     def _odometry(self, measure: str) -> float:
         """The gap of odometry over the longest sequence of scans."""
         try:
-            gaps = {row["measure"]: row["gap"] for row in self._odometry_rows}
+            return self._odometry_gaps[measure]
         except (RunError, StageError) as error:
             raise _AbsentError(str(error)) from error
-        return float(gaps[measure])
 
     @cached_property
-    def _odometry_rows(self) -> list[Row]:
-        return compare_odometry(self.run)
-
-    def _both(self, count: str) -> float:
-        n_matched = [self.run.rows_by_name[name]["n_matched"] for name in self._names]
-        return _counted(np.array(n_matched), count)
+    def _odometry_gaps(self) -> dict[str, float]:
+        return {row["measure"]: row["gap"] for row in compare_odometry(self.run)}
 
     def _pairs(self, state: str) -> float:
-        rows, record = self.run.rows, self.run.record
+        """Number of pairs in a state; `changed` are of other scans or labels than now, or not in the dataset."""
+        record = self.run.record
+        states = [row["status"] for row in self.run.rows]
         if state in ("scored", "failed"):
-            return len([row for row in rows if row["status"] == state])
+            return states.count(state)
         if state == "frame_suspect":
             return len(record.frames)
         if self.dataset_is_gone:
             if state == "to_do":
                 return record.pairs.to_do
             raise _AbsentError(f"the dataset {record.dataset} is not here")
-        dataset = self._dataset
-        now = {pair.pair_id: pair for pair in dataset.pairs}
+        now = {pair.pair_id: pair for pair in self._dataset.pairs}
         if state == "to_do":
             return len(now.keys() - self.run.rows_by_name.keys())
-        # of other scans, labels, label names or T_real_sim than evaluated, or not in the dataset
-        try:
-            return sum(
-                pair_id not in now
-                or input_hashes(now[pair_id], dataset.label_names)["content"] != hashes["content"]
-                for pair_id, hashes in record.inputs.items()
-            )
-        except ScanError as error:
-            raise _AbsentError(str(error)) from error
+        n_changed = 0
+        for pair_id, hashes in record.inputs.items():
+            try:
+                is_same = pair_id in now and (
+                    input_hashes(now[pair_id], self._dataset.label_names)["content"]
+                    == hashes["content"]
+                )
+            except ScanError as error:
+                raise _AbsentError(str(error)) from error
+            n_changed += not is_same
+        return n_changed
 
     @cached_property
     def _dataset(self) -> Dataset:
@@ -256,68 +237,36 @@ class Measures:
         except (DatasetError, OSError) as error:
             raise _AbsentError(str(error)) from error
 
-    @property
-    def _names(self) -> list[str]:
-        """Names of the scored pairs, at least one."""
-        if not self.run.names:
-            raise _AbsentError("no pair is scored")
-        return self.run.names
 
-    @cached_property
-    def _objects(self) -> pd.DataFrame:
-        objects = self.run.objects_of(self._names, ["range_m", "label", *DISTRIBUTED])
-        return objects[objects["fate"] != "remnant"]
-
-
-def _column(score: str) -> str:
-    """The column of `pairs` with a score of pairs."""
-    if score in OBJECT_METRICS:
-        return METRIC[score].mean_column
-    return (DOTTED | SENSOR_VALUES).get(score, score)
-
-
-def _statistic(
-    values: Sequence[float | None] | FloatArray, stat: str, what: str, score: str
-) -> float:
-    spread = distribution(np.array(values, dtype=np.float64))  # None becomes NaN
-    if not spread.n:
+def _statistic(values: pd.Series[float], stat: str, what: str, score: str) -> float:
+    known = values.dropna()
+    if known.empty:
         raise _AbsentError(f"no {what} has a {score}")
-    value: float | None = getattr(spread, stat)
-    if value is None:
+    if stat in _QUANTILES:
+        return float(known.quantile(_QUANTILES[stat]))
+    if stat == "std" and len(known) == 1:
         raise _AbsentError(f"only one {what} has a {score}")
-    return value
-
-
-def _counted(by_pair: IndexArray, count: str) -> float:
-    return float(getattr(by_pair, "sum" if count == "total" else count)())
+    return float(known.agg(stat))
 
 
 def _either(name: str, words: Iterable[str]) -> str:
-    return f"(?P<{name}>{'|'.join(words)})"
+    return f"(?P<{name}>{'|'.join(map(re.escape, words))})"
 
 
-_CLASS = r"(?:class\.(?P<label>.+)\.)"
+_CLASS = r"class\.(?P<label>.+)\."
 _WITHIN = r"(?:\.within_(?P<within>[0-9]+(?:\.[0-9]+)?)m)?"
-_SCORE = _either("score", (*PAIR_SCORES, *map(re.escape, DOTTED)))
-_SENSOR_VALUE = _either("score", map(re.escape, SENSOR_VALUES))
-_OBJECT_SCORE = _either("score", DISTRIBUTED)
-_UNMATCHED = _either("what", ("not_found", "extra"))
-_TASK = _either("measure", map(re.escape, TASK_MEASURES))
-_OF_PAIRS = _either("stat", OF_PAIRS)
-_OF_BEST_CASE = _either("stat", (*OF_PAIRS, *OF_DISTRIBUTIONS))
-_OF_OBJECTS = _either("stat", OF_OBJECTS)
-_COUNT = _either("count", COUNTS)
+_STATISTIC = _either("stat", STATISTICS)
+_FATE = _either("fate", ("not_found", "extra", "matched"))
 _MEASURES: dict[str, Callable[..., float]] = {
-    rf"{_SCORE}\.{_OF_PAIRS}": Measures._of_pairs,
-    rf"{_SENSOR_VALUE}\.{_OF_PAIRS}": Measures._of_pairs,
-    rf"excess\.{_SCORE}\.{_OF_BEST_CASE}": Measures._over_best_case,
-    rf"(?:objects\.|{_CLASS}){_OBJECT_SCORE}\.{_OF_OBJECTS}": Measures._of_objects,
-    rf"{_CLASS}?{_UNMATCHED}{_WITHIN}(?:\.{_COUNT})?": Measures._unmatched,
-    rf"matched\.{_either('count', ('total', 'mean', 'min'))}": Measures._both,
+    rf"{_either('score', _COLUMNS)}\.{_STATISTIC}": Measures._of_pairs,
+    _either("score", TASK_GAPS): Measures._of_pairs,
+    rf"excess\.{_either('score', PAIR_SCORES | DOTTED)}\."
+    rf"{_either('stat', (*STATISTICS, *OF_DISTRIBUTIONS))}": Measures._over_best_case,
+    rf"(?:objects\.|{_CLASS}){_either('score', DISTRIBUTED)}\.{_STATISTIC}": Measures._of_objects,
+    rf"(?:{_CLASS})?{_FATE}{_WITHIN}(?:\.{_either('count', COUNTS)})?": Measures._count,
     rf"pairs\.{_either('state', STATES)}": Measures._pairs,
-    rf"tasks\.{_TASK}(?:\.{_OF_PAIRS})?": Measures._task,
     rf"tasks\.odometry\.{_either('measure', ODOMETRY_MEASURES)}": Measures._odometry,
-    rf"causes\.{_either('cause', CAUSE_NAMES)}(?:\.{_either('end', INTERVAL_ENDS)})?": (
+    rf"causes\.{_either('cause', CAUSE_NAMES)}(?:\.{_either('end', ('low', 'high'))})?": (
         Measures._cause
     ),
 }

@@ -16,7 +16,7 @@ from ...schemas.columns import SIDES, Row
 from ...schemas.metric_catalogue import QUADRANT_LIMITS
 from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray
-from ...stages.statistics.findings import BAND_EDGES_M
+from ...stages.statistics.bands import BAND_EDGES_M
 from ..storage.folder import RunFolder
 
 if TYPE_CHECKING:
@@ -39,14 +39,9 @@ SHAPES = {"linearity": "linear", "planarity": "planar", "scattering": "scattered
 CDC_LIMIT = QUADRANT_LIMITS["cdc"]
 R_LAMBDA_LIMIT = QUADRANT_LIMITS["r_lambda"]
 
-#: Keys of the quadrants by geometry and structure, best first, and how they are called. The paper names their meaning
-#: and gives examples, no limits: these are fidpipe's, fixed so that runs compare, with reasons in the metric catalogue.
-QUADRANTS = {
-    "faithful": "faithful",
-    "structure lost": "shape right but structure lost",
-    "displaced": "structure right but displaced",
-    "failed": "failed",
-}
+#: The quadrants by geometry and structure, best first. The paper names their meaning and gives examples, no limits:
+#: these are fidpipe's, fixed so that runs compare, with reasons in the metric catalogue.
+QUADRANTS = ("faithful", "structure lost", "displaced", "failed")
 UNKNOWN = "no score"
 
 

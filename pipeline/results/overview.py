@@ -1,6 +1,6 @@
 """The overview of a run: what to fix first, the largest missing and invented pieces, and limits to the trust in them.
 
-It and the findings are made from the tables of objects, read some pairs at a time (`describe_objects`).
+And the findings: the objects of all pairs together by range and by class; means over pairs are in `stages.summary`.
 """
 
 from __future__ import annotations
@@ -15,23 +15,31 @@ import numpy as np
 import pyarrow as pa
 
 from ...schemas.columns import SIDE_NAMES, SIDES, Row
+from ...schemas.metric_catalogue import DISTRIBUTED
 from ...schemas.record import (
     ELSEWHERE,
     FrameSuspect,
     RunRecord,
 )
-from ...schemas.results import Caution, Findings, Overview, Piece, SurfaceGroup
+from ...schemas.results import (
+    Caution,
+    Findings,
+    ObjectGroup,
+    Overview,
+    Piece,
+)
 from ...schemas.tables import TABLES
 from ...stages.arrays import BoolArray, FloatArray
+from ...stages.statistics.bands import BAND_NAMES
 from ...stages.statistics.comparison import LEAST_PAIRS
-from ...stages.statistics.findings import BAND_NAMES
+from ...stages.summary import mean_and_std
 from ..storage.files import path_exists
 from ..storage.folder import RunFolder
+from ..storage.run_record import as_options
 from ..storage.urls import recorded_path
 from .best_case import BEST_CASE_RECIPE
 from .causes import named_and_small, read_causes, unknown_causes
 from .independence import NEEDED, find_places, pairs_and_places
-from .object_findings import FINDINGS_COLUMNS, summarise_objects
 from .object_frame import object_frame, plain_rows
 from .places import moved_words, place_words
 
@@ -55,12 +63,10 @@ BAD_ALIGNMENT_WORDS = (
 )
 NO_LABEL = "(no label)"
 _KEYS = ["pair", "side", "fate", "n_points"]
-#: Columns of the frame of objects that the overview uses.
-OVERVIEW_COLUMNS = (
-    "covered_0p3m",
-    "r_lambda",
-    "alignment_rms_m",
-    "diagonal_m",
+#: Requested columns of the frame of objects.
+_COLUMNS = (
+    *("band", "label", "covered_0p3m"),
+    *(*DISTRIBUTED, "alignment_rms_m", "diagonal_m"),
 )
 
 
@@ -102,14 +108,13 @@ def describe_objects(
     if not len(scored):
         return None, None
     pair_ids = scored["pair_id"].to_pylist()
-    columns = list({*FINDINGS_COLUMNS, *OVERVIEW_COLUMNS})
-    objects = object_frame(store, pair_ids, columns, by_reference=by_reference)
-    objects = objects.loc[objects["fate"] != "remnant", [*_KEYS, *columns]]
+    objects = object_frame(store, pair_ids, _COLUMNS, by_reference=by_reference)
+    objects = objects.loc[objects["fate"] != "remnant", [*_KEYS, *_COLUMNS]]
     objects["label"] = objects["label"].fillna("")
     blocks = find_places(store, pair_ids, hashes, timestamps_s)
-    found = summarise_objects(objects, len(pair_ids))
     places = dict(zip(pair_ids, blocks.tolist(), strict=True))
-    findings = Findings(n_places=len(np.unique(blocks)), places=places, **vars(found))
+    groups = tuple(object_groups(objects))
+    findings = Findings(groups=groups, n_places=len(set(places.values())), places=places)
     causes = read_causes(store, pair_ids)
     named, small = named_and_small(causes, blocks)
     overview = Overview(
@@ -118,10 +123,48 @@ def describe_objects(
         doubts=tuple(_doubts(store, pair_ids)),
         small=tuple(small),
         pieces=tuple(largest_pieces(store, pair_ids)),
-        surface=tuple(_surface(objects)),
         **_alignment(objects),
     )
     return findings, overview
+
+
+def object_groups(objects: pd.DataFrame) -> Iterator[ObjectGroup]:
+    """The objects by range, then by class, the class with most objects first.
+
+    Parameters
+    ----------
+    objects : of both sides without remnants, with `_COLUMNS`; label is "" if an object has none
+    """
+    for band, name in enumerate(BAND_NAMES):
+        yield _group("range", name, objects[objects["band"] == band])
+    sizes = objects[objects["label"] != ""].groupby("label").size()
+    for label in sizes.sort_values(ascending=False, kind="stable").index:
+        yield _group("class", label, objects[objects["label"] == label])
+
+
+def _group(by: str, name: str, objects: pd.DataFrame) -> ObjectGroup:
+    real, sim = [objects[objects["side"] == side] for side in SIDES]
+    matched = real[real["fate"] == "matched"]
+    return ObjectGroup(
+        by=by,
+        name=name,
+        n_real=len(real),
+        n_not_found=len(real) - len(matched),
+        n_sim=len(sim),
+        n_extra=int((sim["fate"] == "extra").sum()),
+        n_real_points=int(real["n_points"].sum()),
+        missing_share=_uncovered_share(real),
+        n_sim_points=int(sim["n_points"].sum()),
+        invented_share=_uncovered_share(sim),
+        scores={name: mean_and_std(matched[name].to_numpy())[0] for name in DISTRIBUTED},
+    )
+
+
+def _uncovered_share(objects: pd.DataFrame) -> float | None:
+    """Share of the points of some objects without a counterpart within 0.3 m; None without points."""
+    n_points = objects["n_points"]
+    n_uncovered = (n_points * (1 - objects["covered_0p3m"].fillna(0.0))).sum()
+    return float(n_uncovered / n_points.sum()) if n_points.any() else None
 
 
 def _doubts(store: RunFolder, pair_ids: Sequence[str]) -> list[str]:
@@ -142,30 +185,6 @@ def doubt_lines(side: str, texts: Sequence[str], n_scans: int) -> list[str]:
         f"{start} ({n} of {n_scans}): {texts[kinds.index(kind)]}"
         for kind, n in Counter(kinds).items()
     ]
-
-
-def _surface(objects: pd.DataFrame) -> Iterator[SurfaceGroup]:
-    """Coverage by range and by class."""
-    import pandas as pd
-
-    alone = objects["n_points"] * (1 - objects["covered_0p3m"].fillna(0.0))
-    points = objects.assign(alone=alone)
-    labels = sorted(set(objects["label"]) - {""})
-    ranges = ("range", "band", dict(enumerate(BAND_NAMES)))
-    classes = ("class", "label", {label: label for label in labels})
-    for group, column, names in (ranges, classes):
-        sums = points.groupby([column, "side"])[["n_points", "alone"]].sum()
-        sums = sums.reindex(pd.MultiIndex.from_product([names, SIDES]), fill_value=0)
-        for key, name in names.items():
-            (n_real, missing), (n_sim, invented) = sums.loc[key].to_numpy()
-            yield SurfaceGroup(
-                group=group,
-                name=name,
-                n_real=int(n_real),
-                missing_share=missing / n_real if n_real else None,
-                n_sim=int(n_sim),
-                invented_share=invented / n_sim if n_sim else None,
-            )
 
 
 def _alignment(objects: pd.DataFrame) -> dict[str, int]:
@@ -191,49 +210,50 @@ def _piece(row: Row) -> Piece:
     if row["fate"] == "moved":
         fate = "moved"
         fate_words = moved_words(row["moved_x_m"], row["moved_y_m"], row["moved_z_m"])
-    stored = {name: row[name] for name in Piece.model_fields if name in row}
+    stored = {name: row[name] for name in ("pair_id", "side", "piece_id", "n_points")}
     words = place_words(row["label"], extents, row["range_m"], row["bearing_deg"])
-    own = {"fate": fate, "extents_m": extents, "words": words, "fate_words": fate_words}
-    return Piece(**stored | own)
+    return Piece(**stored, fate=fate, words=words, fate_words=fate_words)
 
 
 def cautions(overview: Overview, record: RunRecord) -> list[Caution]:
     """Limits to the trust in the numbers of a run, most important first; from its record without an overview."""
+    return [Caution(kind=kind, words=words) for kind, words in _limits(overview, record)]
+
+
+def _limits(overview: Overview, record: RunRecord) -> Iterator[tuple[str, str]]:
+    """Kind and words of each caution."""
     pairs = record.pairs
     n_pairs = pairs.scored + pairs.failed + pairs.to_do
     n_places = record.findings.n_places if record.findings else 0
     counted = pairs_and_places(pairs.scored, n_places)
-    found: list[tuple[str, str]] = []
-    if pairs.failed:
-        found.append(("failed", f"{pairs.failed} of {n_pairs} pairs failed and count nowhere"))
     if pairs.to_do:
-        found.append(("to_do", f"{pairs.to_do} of {n_pairs} pairs are not evaluated yet"))
-    found += [("frames", words) for words in _frame_words(record.frames, n_pairs)]
+        yield "to_do", f"{pairs.to_do} of {n_pairs} pairs are not evaluated yet"
+    for words in _frame_words(record.frames, n_pairs):
+        yield "frames", words
     if record.notes:
         pair_id, (note, *_) = next(iter(record.notes.items()))
-        words = f"ground cut, notes on {len(record.notes)} of {n_pairs} pairs; {pair_id}: {note}"
-        found.append(("ground", words))
+        n_noted = len(record.notes)
+        yield "ground", f"ground cut, notes on {n_noted} of {n_pairs} pairs; {pair_id}: {note}"
     if n_places < LEAST_PAIRS:
-        found.append(("pairs", f"{counted}: a verdict on the world {NEEDED}"))
+        yield "pairs", f"{counted}: a verdict on the world {NEEDED}"
     elif n_places < pairs.scored:
-        found.append(("independence", f"{counted}, which count once each"))
+        yield "independence", f"{counted}, which count once each"
     if overview.n_aligned and overview.n_badly_aligned >= _MANY_BADLY_ALIGNED * overview.n_aligned:
         share = f"{100 * overview.n_badly_aligned / overview.n_aligned:.0f} %"
-        words = (
+        yield (
+            "alignment",
             f"r_lambda of {share} of the matched objects is unreliable "
-            f"(poor alignment: {BAD_ALIGNMENT_WORDS})"
+            f"(poor alignment: {BAD_ALIGNMENT_WORDS})",
         )
-        found.append(("alignment", words))
     if record.preset != "reference":
-        words = (
+        yield (
+            "partition",
             "each scan is segmented separately, so scores vary with the segmentation; "
-            f"to compare simulators: {_by_reference(record)}"
+            f"to compare simulators: {_by_reference(record)}",
         )
-        found.append(("partition", words))
     if not path_exists(recorded_path(record.dataset) / BEST_CASE_RECIPE):
         words = "no best case yet; the scores of a perfect simulator: fidpipe best-case RUN"
-        found.append(("best_case", words))
-    return [Caution(kind=kind, words=words) for kind, words in found]
+        yield "best_case", words
 
 
 def _frame_words(frames: Mapping[str, FrameSuspect], n_pairs: int) -> Iterator[str]:
@@ -260,8 +280,6 @@ def _frame_words(frames: Mapping[str, FrameSuspect], n_pairs: int) -> Iterator[s
 
 def _by_reference(record: RunRecord) -> str:
     """Command that evaluates the dataset of a run with reference objects and its other settings."""
-    command = ["fidpipe", "run", record.dataset, "--preset", "reference"]
-    for setting in record.departures:
-        command += ["--set", setting]
+    command = ["fidpipe", "run", record.dataset, *as_options("reference", record.departures)]
     out = f"runs/{recorded_path(record.dataset).name}-reference"
     return shlex.join([*command, "--out", out])

@@ -7,14 +7,13 @@ the left says nothing about the right. Simulators that are equal but for such de
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from ...schemas.columns import SIDES
 from ...schemas.metric_catalogue import COVERAGE_REACHES, METRIC, metrics_in
-from ...stages.arrays import FloatArray, IndexArray
+from ...stages.arrays import FloatArray
 from .finished import FinishedRun
 
 #: Number of sectors of direction, the first one from straight ahead to the left.
@@ -43,44 +42,36 @@ def sector_frame(run: FinishedRun, pair_ids: Sequence[str]) -> pd.DataFrame:
     """
     objects = run.objects_of(pair_ids, _COLUMNS)
     pieces = run.store.read_pairs(pair_ids, {("pieces", ""): _PIECES})["pieces", ""]
-    n_pairs = len(pair_ids)
-    columns: dict[str, FloatArray] = {}
+    weighted = {}
     for side, kind in zip(SIDES, ("missing", "invented"), strict=True):
         of_side = objects[objects["side"] == side]
-        alone = pieces[pieces["side"] == side]
-        n_points = np.maximum(1, np.bincount(of_side["pair"], of_side["n_points"], n_pairs))
         for reach in COVERAGE_REACHES:
-            covered = of_side["n_points"] * of_side[f"covered_{reach}"].fillna(0.0)
-            columns[f"covered_{side}_{reach}"] = _parts(of_side, covered, n_points)
-        columns[f"n_{kind}_pieces"] = _parts(alone, 1.0, np.ones(n_pairs))
-        columns[f"{kind}_pieces_share"] = _parts(alone, alone["n_points"], n_points)
+            covered = of_side["n_points"] * of_side[f"covered_{reach}"]
+            weighted[f"covered_{side}_{reach}"] = of_side.assign(weight=covered)
+        alone = pieces[pieces["side"] == side]
+        weighted[f"n_{kind}_pieces"] = alone.assign(weight=1.0)
+        weighted[f"{kind}_pieces_share"] = alone.assign(weight=alone["n_points"])
     matched = objects[(objects["side"] == "real") & (objects["fate"] == "matched")]
     for name in _SCORES:
-        known = matched.dropna(subset=name)
-        n_known = np.bincount(known["pair"], minlength=n_pairs)
-        columns[METRIC[name].mean_column] = _parts(known, known[name], n_known)
-    counted = objects[objects["fate"] != "remnant"]
-    n_real, n_sim = [
-        np.bincount(counted.loc[counted["side"] == side, "pair"], minlength=n_pairs)
-        for side in SIDES
-    ]
-    columns["found"] = _parts(matched, 1.0, n_real)
-    columns["match_rate"] = _parts(matched, 1.0, np.maximum(n_real, n_sim))
-    return pd.DataFrame(columns)
+        weighted[METRIC[name].mean_column] = matched.assign(weight=matched[name])
+    weighted["found"] = weighted["match_rate"] = matched.assign(weight=1.0)
+    scores = run.scores.loc[[*pair_ids]]
+    return pd.DataFrame({name: _parts(rows, scores[name]) for name, rows in weighted.items()})
 
 
-def _parts(rows: pd.DataFrame, values: Any, totals: Any) -> FloatArray:
-    """Sums of values by pair and sector over the total of the pair, (n_pairs * 8,), times the number of sectors.
+def _parts(rows: pd.DataFrame, values: pd.Series[float]) -> FloatArray:
+    """The values of pairs divided among their sectors by weight, times the number of sectors, (n_pairs * 8,).
 
     Parameters
     ----------
-    rows : objects or pieces
-    values : one per row, or the same for all
-    totals : (n_pairs,)
+    rows : objects or pieces with their `weight`, NaN for 0
+    values : by pair, NaN for 0
     """
     y, x = rows[["cy", "cx"]].fillna(0.0).to_numpy().T
-    bearing = np.arctan2(y, x)
-    sector: IndexArray = np.floor(bearing / (2 * np.pi) * N_SECTORS).astype(np.intp) % N_SECTORS
-    pair = rows["pair"].to_numpy()
-    sums = np.bincount(pair * N_SECTORS + sector, values / totals[pair], len(totals) * N_SECTORS)
-    return np.asarray(N_SECTORS * sums, dtype=np.float64)
+    sector = np.floor(np.arctan2(y, x) / (2 * np.pi) * N_SECTORS).astype(np.intp) % N_SECTORS
+    bins = rows["pair"].to_numpy() * N_SECTORS + sector
+    weights = np.bincount(bins, rows["weight"].fillna(0.0), len(values) * N_SECTORS)
+    weights = weights.reshape(-1, N_SECTORS)
+    totals = weights.sum(axis=1)
+    parts = weights * (values.fillna(0.0).to_numpy() / np.where(totals, totals, 1.0))[:, None]
+    return np.asarray(N_SECTORS * parts.ravel(), dtype=np.float64)

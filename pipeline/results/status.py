@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ...schemas.errors import RunError
@@ -21,7 +21,7 @@ from .finished import record_of_run
 STATES = ("done", "stale", "failed", "to do")
 
 
-@dataclass(frozen=True)
+@dataclass
 class RunStatus:
     """Progress of a run.
 
@@ -34,8 +34,8 @@ class RunStatus:
     dataset: str
     n_pairs: int
     stages: dict[str, Counter[str]]
-    failures: dict[str, str]
-    damaged: list[str]
+    failures: dict[str, str] = field(default_factory=dict)
+    damaged: list[str] = field(default_factory=list)
 
 
 def run_status(folder: Path) -> RunStatus:
@@ -54,41 +54,32 @@ def run_status(folder: Path) -> RunStatus:
     dataset = read_dataset(local_folder(record["dataset"]))
     settings = parse(record["settings"])
     stages = stages_under(settings)
-    run_folder = RunFolder(folder)
-    ledger = run_folder.ledger
+    store = RunFolder(folder)
     jobs = plan_jobs(stages, settings)
     states: dict[str, Counter[str]] = {stage.name: Counter() for stage in stages}
-    failures: dict[str, str] = {}
-    damaged: list[str] = []
-    all_contents, faults = hash_files(dataset.pairs, run_folder)
+    status = RunStatus(folder, record["dataset"], len(dataset.pairs), states)
+    contents, faults = hash_files(dataset.pairs, store)
     for pair in dataset.pairs:
-        fault = faults.get(pair.pair_id)
-        if fault is not None:
-            failures[pair.pair_id] = fault
+        name = pair.pair_id
+        if name in faults:
+            status.failures[name] = faults[name]
             for counts in states.values():
                 counts["failed"] += 1
             continue
-        plan = plan_pair(jobs, pair, all_contents[pair.pair_id], dataset.label_names)
-        plan, unwanted = with_results(plan, run_folder)
-        past = ledger.failure(pair.pair_id, [plan.keys[job.name] for job in plan.todo])
-        if past:
-            failures[pair.pair_id] = past
+        plan = plan_pair(jobs, pair, contents[name], dataset.label_names)
+        plan, unwanted = with_results(plan, store)
+        reason = store.ledger.failure(name, [plan.keys[job.name] for job in plan.todo])
+        if reason:
+            status.failures[name] = reason
         for stage in stages:
-            state = _stage_state(stage, plan, unwanted, has_failed=pair.pair_id in failures)
+            state = _stage_state(stage, plan, unwanted, has_failed=bool(reason))
             states[stage.name][state] += 1
-        for finished in ledger.jobs(pair.pair_id).values():
+        for finished in store.ledger.jobs(name).values():
             if finished.name in unwanted:
-                damaged += run_folder.damaged_files(finished)
-    for finished in ledger.jobs("").values():
-        damaged += run_folder.damaged_files(finished)
-    return RunStatus(
-        folder=folder,
-        dataset=record["dataset"],
-        n_pairs=len(dataset.pairs),
-        stages=states,
-        failures=failures,
-        damaged=damaged,
-    )
+                status.damaged += store.damaged_files(finished)
+    for finished in store.ledger.jobs("").values():
+        status.damaged += store.damaged_files(finished)
+    return status
 
 
 def _stage_state(

@@ -10,7 +10,7 @@ import io
 import json
 import os
 import secrets
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -25,14 +25,7 @@ path_exists = os.path.exists
 _to_canonical_json = json.JSONEncoder(sort_keys=True, allow_nan=False).encode
 
 
-def write_whole(
-    path: Path,
-    content: bytes | memoryview,
-    *,
-    before_rename: Callable[[], None] | None = None,
-    advice: str = "; give another --out",
-    outlasts_power: bool = True,
-) -> None:
+def write_whole(path: Path, content: bytes | memoryview, *, outlasts_power: bool = True) -> None:
     """Write a file atomically: next to its path under a dot name, then renamed.
 
     A device such as /dev/null is written to, and stays.
@@ -40,8 +33,6 @@ def write_whole(
     Parameters
     ----------
     path : of the file; its folder is created if missing
-    before_rename : may raise, and the file in place stays
-    advice : ends the message of the error
     outlasts_power : wait until it is on the disk, a millisecond or more; False for a file whose
         readers check its hash
 
@@ -52,7 +43,7 @@ def write_whole(
     """
     temporary = path.with_name(f".{path.name[:100]}.{secrets.token_hex(4)}")
     try:
-        with named_errors(path, advice):
+        with named_errors(path):
             if path.is_char_device():
                 path.write_bytes(content)
                 return
@@ -62,8 +53,6 @@ def write_whole(
                 file.flush()
                 if outlasts_power:
                     os.fsync(file.fileno())
-            if before_rename is not None:
-                before_rename()
             temporary.replace(path)
     except BaseException:
         with suppress(OSError):  # its folder may be what cannot be written
@@ -79,7 +68,7 @@ def csv_bytes(head: Iterable[object], rows: Iterable[Iterable[object]]) -> bytes
 
 
 @contextmanager
-def named_errors(path: Path, advice: str = "; give another --out") -> Iterator[None]:
+def named_errors(path: Path) -> Iterator[None]:
     """Makes errors of the system one `RunError` that names the file being written and ends with advice."""
     try:
         yield
@@ -88,7 +77,9 @@ def named_errors(path: Path, advice: str = "; give another --out") -> Iterator[N
             raise DiskFullError(
                 f"{path}: {error.strerror}; make room, then run the same command again"
             ) from error
-        raise RunError(f"{path}: cannot be written ({error.strerror}){advice}") from error
+        raise RunError(
+            f"{path}: cannot be written ({error.strerror}); give another --out"
+        ) from error
 
 
 def is_locked(path: Path) -> bool:

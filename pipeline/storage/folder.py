@@ -20,11 +20,11 @@ from .files import is_locked
 from .ledger import LEDGER, Ledger
 from .run_record import command_again, read_run
 from .table_files import (
-    AT_URL,
     JobId,
     JobRecord,
     StoredFile,
     TableFolder,
+    TablesAtUrl,
     file_stem,
     table_name,
 )
@@ -41,9 +41,7 @@ class RunFolder(TableFolder):
     """A run's folder; to be read, or, while `locked`, to be written."""
 
     def __init__(self, folder: Path) -> None:
-        super().__init__(
-            folder, secrets.token_hex(8), url_of_cache(folder) if (folder / AT_URL).exists() else ""
-        )
+        super().__init__(folder, secrets.token_hex(8), url_of_cache(folder))
         if folder.is_dir():
             self.refuse_links()
         self.ledger = Ledger(folder)
@@ -52,6 +50,11 @@ class RunFolder(TableFolder):
     def is_locked(self) -> bool:
         """True if a command is working on the folder."""
         return is_locked(self.folder / _LOCK)
+
+    def for_workers(self, *, share_disk: bool) -> TableFolder:
+        """The tables as workers see them: in the folder, or at the URL alone if they do not share the disk."""
+        kind = TablesAtUrl if self.url and not share_disk else TableFolder
+        return kind(self.folder, self.token, self.url)
 
     @contextmanager
     def locked(self) -> Iterator[None]:
@@ -67,7 +70,7 @@ class RunFolder(TableFolder):
                 self.folder.mkdir(parents=True, exist_ok=True)
                 file = lock.enter_context((self.folder / _LOCK).open("a"))
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                self.token_path.write_text(self.token)
+                self.put_token()
             except BlockingIOError:
                 raise RunError(
                     f"run {self.folder}: another fidpipe is writing here; wait for it, or give another --out"
@@ -151,9 +154,8 @@ class RunFolder(TableFolder):
                 parts[table, side].append(self.read(table, files[name], name, names))
         frames = {}
         for source, tables in parts.items():
-            pair = np.repeat(
-                np.arange(len(tables), dtype=np.int32), [len(table) for table in tables]
-            )
+            sizes = [len(table) for table in tables]
+            pair = np.repeat(np.arange(len(tables), dtype=np.int32), sizes)
             frames[source] = pa.concat_tables(tables).to_pandas().assign(pair=pair)
         return frames
 
@@ -163,14 +165,13 @@ class RunFolder(TableFolder):
         return f"it again with: {command_again(self.folder, dataset)}"
 
     def damaged_files(self, record: JobRecord) -> list[str]:
-        """Names of the files of a job that are not as they were written; files at the URL alone are not checked."""
+        """Names of the files of a job that are not as they were written; tables at the URL alone are not checked."""
         damaged = []
         for name, stored in record.files.items():
-            if stored.is_at(self.folder / name):
-                continue
-            if self.url and not (self.folder / name).exists():
-                continue
-            damaged.append(name)
+            path = self.folder / name
+            is_remote = self.url and "/" in name and not path.exists()
+            if not (is_remote or stored.is_at(path)):
+                damaged.append(name)
         return damaged
 
     def forget(self, pair_id: str, jobs: Container[JobId] | None = None) -> list[JobRecord]:
@@ -186,27 +187,18 @@ class RunFolder(TableFolder):
 
     def remove_strays(self) -> int:
         """Remove orphaned files, half-written ones included; return the number of intact ones."""
-        strays = self._unknown_files()
-        for name in strays:
-            (self.folder / name).unlink()
-        return sum(not Path(name).name.startswith(".") for name in strays)
-
-    def _unknown_files(self) -> list[str]:
-        """Files among the tables of pairs and of the whole run that no finished job wrote, relative to the run."""
         known = self.ledger.files()
-        unknown = []
+        n_intact = 0
         for table in TABLES:
-            name = f"{table}.parquet"
-            if name not in known and (self.folder / name).is_file():
-                unknown.append(name)
-            if not (self.folder / table).is_dir():
-                continue
-            with os.scandir(self.folder / table) as entries:
-                for entry in entries:
-                    name = f"{table}/{entry.name}"
-                    if name not in known and not entry.is_dir(follow_symlinks=False):
-                        unknown.append(name)
-        return unknown
+            names = [f"{table}.parquet"] if (self.folder / f"{table}.parquet").is_file() else []
+            if (self.folder / table).is_dir():
+                with os.scandir(self.folder / table) as entries:
+                    files = [entry for entry in entries if not entry.is_dir(follow_symlinks=False)]
+                names += [f"{table}/{entry.name}" for entry in files]
+            for name in set(names) - known:
+                (self.folder / name).unlink()
+                n_intact += "/." not in name
+        return n_intact
 
 
 def check_folder(out: Path, dataset: Path, experiment: str = "run") -> None:

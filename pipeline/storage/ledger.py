@@ -75,10 +75,9 @@ class Ledger:
         return files
 
     def put_jobs(self, pair_id: str, records: Iterable[JobRecord]) -> None:
-        """Add finished jobs of a pair, in place of those of the same names."""
-        entry = self._read(pair_id)
-        jobs = {record.job: record for record in (*entry.jobs, *records)}
-        self._write(replace(entry, jobs=list(jobs.values())))
+        """Add finished jobs of a pair, in place of those of the same names; an earlier failure is forgotten."""
+        jobs = self.jobs(pair_id) | {record.job: record for record in records}
+        self._write(_PairEntry(pair_id, list(jobs.values())))
 
     def put_job(self, record: JobRecord) -> None:
         """Add one finished job."""
@@ -98,12 +97,6 @@ class Ledger:
     def put_failure(self, pair_id: str, key: str, reason: str) -> None:
         """Add the key of the failed job of a pair, and the reason."""
         self._write(replace(self._read(pair_id), failure=(key, reason)))
-
-    def drop_failure(self, pair_id: str) -> None:
-        """Forget why a pair failed, if it did."""
-        entry = self._read(pair_id)
-        if entry.failure is not None:
-            self._write(replace(entry, failure=None))
 
     def input_hash(self, path: Path) -> str:
         """SHA-256 of an input file; computed again only if its length, times or inode have changed."""
@@ -147,7 +140,7 @@ def _save(path: Path, content: Any) -> None:
     """Write JSON with the hash of its text in the line before it."""
     text = orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)
     digest = hashlib.sha256(text).hexdigest().encode()
-    write_whole(path, b"%s\n%s\n" % (digest, text), advice="", outlasts_power=False)
+    write_whole(path, b"%s\n%s\n" % (digest, text), outlasts_power=False)
 
 
 def _load(path: Path) -> Any:

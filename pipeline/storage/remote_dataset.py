@@ -8,7 +8,7 @@ and size.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,7 +24,7 @@ from .object_store import (
     describe_object,
     read_object,
 )
-from .urls import STUB, cache_of, read_stub
+from .urls import STUB, cache_of
 
 #: Files of a dataset that are read when a run is planned, and so are fetched whole.
 _SMALL = (".csv", ".toml", ".tum", ".txt")
@@ -72,41 +72,32 @@ def stubs_of(urls: Mapping[str, str]) -> dict[str, Path | str]:
         return dict(zip(urls, pool.map(stub_of, urls.values()), strict=True))
 
 
-def restored_scan(path: Path, stubs: Mapping[Path, str]) -> Path:
-    """A scan whose stub the command sent, in the cache of this machine, whose user or home may be another."""
-    scan = path
-    for stub, text in stubs.items():
-        url = text.partition("\n")[0]
-        restored = cache_of(url).with_name(stub.name)
-        if not restored.exists() or restored.read_text(encoding="utf-8") != text:
-            advice = "; give workers a FIDPIPE_CACHE that they can create"
-            write_whole(restored, text.encode(), advice=advice, outlasts_power=False)
-        if stub == path:
-            scan = restored
-    return scan
-
-
 @contextmanager
-def fetched_scan(path: Path, labels: Path) -> Iterator[Path]:
-    """A temporary copy of the object that a stub names, next to its labels.
+def fetched_scan(stubs: Iterable[str]) -> Iterator[Path]:
+    """A temporary copy of the object of the first stub, next to those of others: its labels.
+
+    Parameters
+    ----------
+    stubs : their texts
 
     Raises
     ------
     ScanError
-        The object, or that of its labels, cannot be fetched whole.
+        An object cannot be fetched whole.
     """
-    stubs = [path, labels] if labels.exists() else [path]
+    files = []
     with tempfile.TemporaryDirectory(prefix="fidpipe-") as folder:
         for stub in stubs:
-            url, etag, size = read_stub(stub)
+            url, etag, size = stub.split("\n")[:3]
             try:
                 content = read_object(url, etag)
             except StoreError as error:
                 raise ScanError(str(error)) from error
             if len(content) != int(size):
                 raise ScanError(f"{url}: expected {size} bytes, got {len(content)}")
-            Path(folder, stub.stem).write_bytes(content)
-        yield Path(folder, path.stem)
+            files.append(Path(folder, url.rpartition("/")[2]))
+            files[-1].write_bytes(content)
+        yield files[0]
 
 
 def _mirror(url: str, path: Path, stored: StoredObject) -> Path:

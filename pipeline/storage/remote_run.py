@@ -41,8 +41,8 @@ from .object_store import (
 )
 from .remote_dataset import mirror_dataset
 from .run_record import RUN_JSON, SETTINGS_TOML
-from .table_files import AT_URL, TOKEN, TableFolder
-from .urls import TEMPORARY_CACHE, cache_folder, cache_of, is_url, url_of_cache
+from .table_files import TOKEN
+from .urls import TEMPORARY_CACHE, cache_folder, cache_of, is_url
 
 LOCK = "_writer.json"
 #: Files of a run that stay on this machine.
@@ -90,7 +90,7 @@ def local_of(url: str) -> Path:
         names = {stored.name for stored in objects}
         if not names & {RUN_JSON, LOCK}:
             return mirror_dataset(run.url, objects)
-        run.pull(objects, for_reading=True)
+        run.pull(objects)
         return run.folder
     except StoreError as error:
         raise DatasetError(str(error)) from error
@@ -108,20 +108,20 @@ class RemoteRun:
         self._owner = _Owner(host=socket.gethostname(), pid=os.getpid(), token=secrets.token_hex(8))
         self._etag = ""
         self._renewed = 0.0
-        self._pushing = threading.Lock()
 
     @property
     def is_in_use(self) -> bool:
         """True if a command of this machine works on the folder: others leave it alone."""
         return is_locked(self._in_use)
 
-    def pull(self, objects: Sequence[StoredObject], *, for_reading: bool = False) -> None:
+    def pull(self, objects: Sequence[StoredObject]) -> None:
         """Fetch what the URL has and the folder lacks, and remove what the URL has not.
+
+        Tables of pairs are left there, to be fetched when they are read.
 
         Parameters
         ----------
         objects : at the URL
-        for_reading : leave tables of pairs there, to be fetched when they are read
         """
         known = self._known()
         remote = [stored for stored in objects if stored.name not in (LOCK, TOKEN)]
@@ -133,15 +133,14 @@ class RemoteRun:
                     f"run {self.url}: the URL holds other things than a run; give another --out"
                 )
         self.folder.mkdir(parents=True, exist_ok=True)
-        if for_reading:
-            (self.folder / AT_URL).touch()
-        else:
-            (self.folder / AT_URL).unlink(missing_ok=True)
         missing = []
         for stored in remote:
-            is_same = stored.name in known and known[stored.name][0] == stored.etag
-            is_left = for_reading and "/" in stored.name and _group(stored.name) == 0
-            if not is_left and not (is_same and (self.folder / stored.name).exists()):
+            path = self.folder / stored.name
+            if known.get(stored.name, [""])[0] == stored.etag and path.exists():
+                continue
+            if "/" in stored.name and _group(stored.name) == 0:
+                path.unlink(missing_ok=True)
+            else:
                 missing.append(stored)
         known |= self._get_all(missing)
         for name in (self._files().keys() & known.keys()) - names:
@@ -156,7 +155,7 @@ class RemoteRun:
         RunError
             Another command writes there now.
         """
-        with self._pushing, ThreadPoolExecutor(_REQUESTS_AT_ONCE) as pool:
+        with ThreadPoolExecutor(_REQUESTS_AT_ONCE) as pool:
             known = self._known()
             changed = {
                 name: marks
@@ -243,9 +242,9 @@ class RemoteRun:
     def _delete_removed(self) -> None:
         """Delete objects whose file was removed here, or that belong to no finished job."""
         stored = set(self._known())
-        if (self.folder / AT_URL).exists():  # workers wrote there, and some may have died
-            names = [stored.name for stored in list_objects(self.url)]
-            stored |= {name for name in names if name.partition("/")[0] in TABLES}
+        for listed in list_objects(self.url):
+            if listed.name.partition("/")[0] in TABLES:  # also of workers that died
+                stored.add(listed.name)
         removed = stored.difference(self._files(), Ledger(self.folder).files())
         for group in (2, 1, 0):
             delete_objects(self.url, [name for name in removed if _group(name) == group])
@@ -372,18 +371,6 @@ def _prepare_cache() -> None:
         raise StoreError(
             f"{folder}: belongs to another user; set FIDPIPE_CACHE to a folder of yours"
         )
-
-
-def share_folder(folder: TableFolder) -> None:
-    """Make the URL of a remote run the place of its tables: workers need not see the folder.
-
-    Parameters
-    ----------
-    folder : of the run that may write
-    """
-    folder.url = url_of_cache(folder.folder)
-    (folder.folder / AT_URL).touch()
-    write_object(f"{folder.url}/{TOKEN}", folder.token.encode())
 
 
 @contextmanager

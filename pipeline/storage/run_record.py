@@ -7,11 +7,9 @@ import os
 import platform
 import re
 import shlex
-import sys
-from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
-from functools import cache, partial
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,15 +17,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import orjson
 import pyarrow as pa
-from pydantic import BaseModel, ConfigDict, ValidationError
 
-from ...schemas.errors import RunError
 from ...schemas.metric_catalogue import DISTRIBUTED, METRIC, RUN_SCORES
-from ...schemas.record import Machine, RunHeader, RunRecord, Seconds
+from ...schemas.record import Machine, RunHeader, RunRecord
 from ...schemas.results import ScoreSummary
 from ...stages.summary import summarise_dataset, with_unmatched_as_worst
 from .files import write_whole
-from .table_files import JobRecord
+from .table_files import TableFolder
 from .urls import name_in_records, url_or_path
 
 if TYPE_CHECKING:
@@ -57,23 +53,6 @@ LIBRARIES = (
 )
 
 
-class _AnyRecord(BaseModel):
-    """The part of a record that is read for every version, even if the run has not ended."""
-
-    model_config = ConfigDict(strict=True, extra="allow")
-
-    fidpipe: str = ""
-    written: str = ""
-    dataset: str = ""
-    experiment: str = ""
-    settings: dict[str, dict[str, Any]] = {}
-    stages: dict[str, int] = {}
-    libraries: dict[str, str] = {}
-    pairs: dict[str, Any] = {}
-    summary: dict[str, dict[str, Any]] = {}
-    inputs: dict[str, dict[str, str]] = {}
-
-
 def library_versions(names: Iterable[str]) -> dict[str, str]:
     """Installed versions by distribution name; "absent" of one that is not installed."""
     return {name: _version(name) for name in names}
@@ -88,46 +67,29 @@ def _version(name: str) -> str:
 
 
 def read_run(folder: Path) -> dict[str, Any]:
-    """The record of a run; {} if it does not exist yet or is damaged.
-
-    Raises
-    ------
-    RunError
-        Something in it is not of the type that any fidpipe gives it.
-    """
-    path = folder / RUN_JSON
+    """The record of a run; {} if it does not exist yet or is damaged."""
     try:
-        content = path.read_bytes()
+        content = (folder / RUN_JSON).read_bytes()
         seal = _SEAL.search(content)
         if seal and hashlib.sha256(content[: seal.start()]).hexdigest() != seal[1].decode():
             return {}
         record: dict[str, Any] = orjson.loads(content)
-    except (FileNotFoundError, ValueError):
+        RunHeader.from_dict({name: record[name] for name in RunHeader.model_fields})
+    except (FileNotFoundError, KeyError, TypeError, ValueError):
         return {}
-    try:
-        _AnyRecord.model_validate(record)
-    except ValidationError as error:
-        where = ".".join(map(str, error.errors()[0]["loc"])) or RUN_JSON
-        raise RunError(
-            f"run {folder}: {RUN_JSON} is damaged at {where}; remove it, or give another --out"
-        ) from error
     record.pop("sha256", None)
     return record
 
 
-def write_record(
-    folder: Path,
-    settings: Settings,
-    record: Mapping[str, Any],
-    before_rename: Callable[[], None],
-) -> None:
+def write_record(tables: TableFolder, settings: Settings, record: Mapping[str, Any]) -> None:
     """Write `settings.toml` and `run.json`, whose last entry is the hash of the text before it."""
     from ...schemas.settings_text import to_toml  # not needed to read a record
 
-    write_whole(folder / SETTINGS_TOML, to_toml(settings).encode(), before_rename=before_rename)
+    tables.check_token()
+    write_whole(tables.folder / SETTINGS_TOML, to_toml(settings).encode())
     text = dumps(record).removesuffix(b"\n}\n")
     seal = f',\n  "sha256": "{hashlib.sha256(text).hexdigest()}"\n}}\n'
-    write_whole(folder / RUN_JSON, text + seal.encode(), before_rename=before_rename)
+    write_whole(tables.folder / RUN_JSON, text + seal.encode())
 
 
 def dumps(record: Mapping[str, Any]) -> bytes:
@@ -211,41 +173,17 @@ def _with_unmatched(scored: pa.Table, name: str) -> list[float | None]:
     ]
 
 
-Totals = defaultdict[str, defaultdict[str, float]]
-
-
-class StageSeconds:
-    """Seconds of finished jobs by stage, step and pair; a reused job keeps the seconds of the run that made it.
-
-    Both sides of a pair are counted together.
-    """
-
-    def __init__(self) -> None:
-        self._steps: Totals = defaultdict(partial(defaultdict, float))
-        self._pairs: Totals = defaultdict(partial(defaultdict, float))
-
-    def add(self, record: JobRecord) -> None:
-        """Counts a finished job, unless its seconds went with the ledger."""
-        stage = sys.intern(record.stage)  # one string for all pairs
-        for step, seconds in record.steps:
-            self._steps[stage][step] += seconds
-            self._pairs[record.pair_id][stage] += seconds
-
-    def result(self) -> Seconds:
-        """Mean seconds of each step over the pairs that have its stage, and seconds by pair and stage."""
-        n_pairs = Counter(stage for of_pair in self._pairs.values() for stage in of_pair)
-        mean = {}
-        for stage, steps in self._steps.items():
-            mean[stage] = {step: seconds / n_pairs[stage] for step, seconds in steps.items()}
-        pairs = {}
-        for pair_id, stages in sorted(self._pairs.items()):
-            pairs[pair_id] = {stage: round(seconds, 6) for stage, seconds in stages.items()}
-        return Seconds.model_construct(mean=mean, pairs=pairs)  # without a copy
-
-
 def has_ended(record: Mapping[str, Any]) -> bool:
     """True if a record is of a finished run or experiment: its duration is written last."""
     return "wall_s" in record
+
+
+def as_options(preset: str, departures: Iterable[str]) -> list[str]:
+    """A preset and the settings that differ from it, as options of a command."""
+    options = ["--preset", preset]
+    for departure in departures:
+        options += ["--set", departure]
+    return options
 
 
 def command_again(folder: Path, dataset: object) -> str:

@@ -30,9 +30,6 @@ from .files import write_whole
 from .object_store import read_object, write_object
 
 TOKEN = ".writer"  #: the file that names the run which may write
-AT_URL = (
-    ".at_url"  #: a file of this name in a folder of the cache: tables that it lacks are at its URL
-)
 _LONGEST_NAME_BYTES = 120
 _SECONDS_BETWEEN_CHECKS = 10.0
 _FEWEST_COMPRESSED = 1000  # rows; of smaller tables the compressor takes a third of the time
@@ -66,31 +63,28 @@ class StoredFile:
 
     def is_at(self, path: Path) -> bool:
         """True if the file at a path is as it was written, and not a link; hashed only if length or time differ."""
-        try:
-            status = path.lstat()
-            is_same = (status.st_size, status.st_mtime_ns) == (self.size, self.mtime_ns)
-            return (is_same and stat.S_ISREG(status.st_mode)) or self.read(path) is not None
-        except (
-            OSError
-        ):  # the disk or the user's rights do not allow to read it: it can be recomputed
-            return False
+        status = self._status(path)
+        is_same = status is not None and status.st_mtime_ns == self.mtime_ns
+        return is_same or self.read(path) is not None
 
     def read(self, path: Path) -> bytes | None:
-        """The content as it was written; None if the file is missing, a link, or has another content.
+        """The content as it was written; None if the file is a link, has another content, or cannot be read."""
+        if self._status(path) is None:
+            return None
+        try:
+            content = path.read_bytes()
+        except OSError:
+            return None
+        return content if hashlib.sha256(content).hexdigest() == self.sha256 else None
 
-        Raises
-        ------
-        OSError
-            The file cannot be read.
-        """
+    def _status(self, path: Path) -> os.stat_result | None:
+        """Of the file at a path, if it has the right length and is not a link."""
         try:
             status = path.lstat()
-        except FileNotFoundError:
+        except OSError:
             return None
-        if status.st_size != self.size or not stat.S_ISREG(status.st_mode):
-            return None
-        content = path.read_bytes()
-        return content if hashlib.sha256(content).hexdigest() == self.sha256 else None
+        is_like = status.st_size == self.size and stat.S_ISREG(status.st_mode)
+        return status if is_like else None
 
 
 @dataclass
@@ -110,7 +104,7 @@ class JobRecord:
     pair_id: str
     part: str
     key: str
-    files: dict[TableName, StoredFile]
+    files: dict[TableName, StoredFile] = field(default_factory=dict)
     reads: tuple[str, ...] = ()
     metadata: dict[str, Any] = field(default_factory=dict)
     steps: tuple[tuple[str, float], ...] = ()
@@ -128,7 +122,7 @@ class JobRecord:
 
 
 def plain_metadata(metadata: dict[str, Any]) -> dict[str, Any]:
-    """Metadata as read back from JSON: lists for tuples and arrays, Python's numbers for NumPy's."""
+    """Metadata as read back from JSON: dictionaries for dataclasses, lists for tuples and arrays, Python's numbers."""
     plain: dict[str, Any] = orjson.loads(orjson.dumps(metadata, option=orjson.OPT_SERIALIZE_NUMPY))
     return plain
 
@@ -173,12 +167,11 @@ class TableFolder:
         """The file that names the run which may write here."""
         return self.folder / TOKEN
 
-    def write_job(self, record: JobRecord, tables: dict[str, pa.Table]) -> dict[str, StoredFile]:
-        """Write the tables of a finished job; return the written files by name.
+    def write_job(self, record: JobRecord, tables: dict[str, pa.Table]) -> None:
+        """Write the tables of a finished job, and add their files to its record.
 
         Parameters
         ----------
-        record : the job, its `files` not known yet
         tables : by name, as in `schemas.tables`
 
         Raises
@@ -187,11 +180,10 @@ class TableFolder:
             Another run has taken over the folder, or it cannot be written.
         """
         self.check_token()
-        files = {}
+        record.made_by = self.token
         for table, rows in tables.items():
             name = table_name(table, record.pair_id, record.part)
-            files[name] = self.write_at(self.folder / name, table, rows, record.key)
-        return files
+            record.files[name] = self.write_at(self.folder / name, table, rows, record.key)
 
     def write_at(
         self, path: Path, table: str, rows: pa.Table | Iterable[pa.Table], key: str
@@ -255,10 +247,7 @@ class TableFolder:
             It cannot be read there.
         """
         path = self.folder / name
-        try:
-            content = stored.read(path)
-        except OSError as error:
-            raise self.damaged(name, error.strerror or str(error)) from error
+        content = stored.read(path)
         if content is None and self.url:
             content = read_object(f"{self.url}/{name}")
             content = content if hashlib.sha256(content).hexdigest() == stored.sha256 else None
@@ -269,7 +258,7 @@ class TableFolder:
         return content
 
     def _store(self, path: Path, content: memoryview, sha256: str) -> StoredFile:
-        write_whole(path, content, advice="", outlasts_power=False)
+        write_whole(path, content, outlasts_power=False)
         return StoredFile(len(content), sha256, path.stat().st_mtime_ns)
 
     def damaged(self, name: str, cause: str = "") -> RunError:
@@ -280,6 +269,10 @@ class TableFolder:
     def again(self) -> str:
         """How to recompute what is damaged."""
         return "the same command again"
+
+    def put_token(self) -> None:
+        """Name the run of this token as the only one that may write."""
+        self.token_path.write_text(self.token)
 
     def check_token(self) -> None:
         """Raises `RunError` where another run has taken over the folder."""
@@ -299,6 +292,10 @@ class TableFolder:
 class TablesAtUrl(TableFolder):
     """The tables of a run for a worker that does not share its folder: each is one object, read and written whole."""
 
+    def put_token(self) -> None:
+        """See `TableFolder`."""
+        write_object(f"{self.url}/{TOKEN}", self.token.encode())
+
     def check_token(self) -> None:
         """See `TableFolder`; a process asks every ten seconds."""
         if (
@@ -314,11 +311,6 @@ class TablesAtUrl(TableFolder):
 
 
 _CHECKED: dict[str, float] = {}
-
-
-def tables_of_run(folder: Path, token: str, url: str) -> TableFolder:
-    """The tables of a run for a worker: in its folder, or at its URL if workers do not share the folder."""
-    return TablesAtUrl(folder, token, url) if url else TableFolder(folder, token)
 
 
 @cache

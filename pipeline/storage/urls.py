@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -83,20 +82,14 @@ def is_stub(path: Path) -> bool:
     return path.suffix == STUB and cache_folder() in path.absolute().parents
 
 
-def read_stub(stub: Path) -> list[str]:
-    """URL, etag and size of the object that a stub names."""
-    return stub.read_text(encoding="utf-8").split("\n")[:3]
+def stub_text(path: Path) -> str:
+    """The lines of a stub: URL, etag and size of its object; "" for any other file."""
+    return path.read_text(encoding="utf-8") if is_stub(path) and path.exists() else ""
 
 
-def n_bytes_of(path: Path) -> int:
-    """Size of a scan file; of a stub that of its object."""
-    return int(read_stub(path)[2]) if is_stub(path) else path.stat().st_size
-
-
-def stub_texts(paths: Iterable[Path]) -> dict[Path, str]:
-    """The stubs among some files, for a worker that does not see the cache."""
-    stubs = [path for path in paths if is_stub(path) and path.exists()]
-    return {path: path.read_text(encoding="utf-8") for path in stubs}
+def stub_size(text: str) -> int:
+    """Size of the object of a stub."""
+    return int(text.split("\n")[2])
 
 
 def cache_folder() -> Path:

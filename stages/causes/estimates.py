@@ -23,6 +23,7 @@ from ..trust import (
     SAME_SWEEPS,
     STEPS,
     UNCROPPED,
+    UPRIGHT,
     cropped_box,
 )
 from .beams import (
@@ -43,6 +44,7 @@ from .unmatched import (
     explain_directions,
     find_unmatched,
     in_gap,
+    least_range_m,
 )
 
 _LEAST_POINTS = 50  # of a side that has a surface to compare
@@ -63,6 +65,8 @@ _OTHER_VIEW_DEG = 45.0
 _FEWEST_OF_BEAM = 100  # simulated returns per real beam, of which all beams are recognised
 _LOW_SHARE = 0.1  # of the points, below all those of the other side
 _ALIKE = 0.05  # azimuth steps
+_TILTS = [PARAMETERS.index("roll"), PARAMETERS.index("pitch")]
+_BLURRING_DEG = 0.5
 
 
 @dataclass(frozen=True)
@@ -119,6 +123,7 @@ def estimate(scans: PairScans, seed: int = 0) -> PairEstimates | None:
     amounts["second returns"] = _difference(real_second_share, second_share, share=more_second)
     amounts |= _amounts(real, aligned, sim, explained)
     doubts = _doubts_of_pair(real, aligned, sim, explained, amounts["mixed pixels"]) | doubts
+    doubts |= _doubts_of_pose(pose, sim)
     return PairEstimates(pose, only_known(amounts, doubts), distance_m, best_case_m)
 
 
@@ -131,8 +136,8 @@ def _doubts_of_pair(
         text = f"simulated scan: {strays.amount:.0%} of its points float off smooth surface: second returns in others?"
         doubts = dict.fromkeys((ONE_SWEEP, SAME_SWEEPS, BEAMS), text)
     if not _SPARSE < explained.real_per_sim < 1 / _SPARSE:
-        side = "real" if explained.real_per_sim < 1 else "simulated"
-        doubts[ENOUGH] = f"{side} scan: too few returns, compared with the other side"
+        sparse = "real" if explained.real_per_sim < 1 else "simulated"
+        doubts[ENOUGH] = f"{sparse} scan: too few returns, compared with the other side"
     if unlike := _unlike_patterns(real, sim, recorded):
         doubts[BEAMS] = unlike
     if _is_without_road(real, sim, explained) or _is_above(sim, real):
@@ -147,6 +152,14 @@ def _doubts_of_pair(
                 "set input.include_box for both sides"
             )
     return doubts
+
+
+def _doubts_of_pose(pose: Pose, sim: Side) -> dict[str, str]:
+    """The doubt that a tilt blurs the beams of a side, although they are recognised."""
+    tilt_deg = float(np.abs(pose.displacement.values[_TILTS]).max())
+    if not sim.sensor.elevation_deg or tilt_deg < _BLURRING_DEG:
+        return {}
+    return {UPRIGHT: f"simulated scan: tilted by {tilt_deg:.1f} degrees, which blurs its beams"}
 
 
 def _is_without_road(real: Side, sim: Side, explained: Explained) -> bool:
@@ -252,7 +265,7 @@ def estimate_between(base: Side, sim: Side) -> tuple[Pose, dict[str, float]] | N
             amount = of_sensor[name].amount
             if amount is not None:
                 amounts[name] = amount
-    doubts = doubts_of(base.sensor, sim.sensor)
+    doubts = doubts_of(base.sensor, sim.sensor) | _doubts_of_pose(pose, sim)
     certain = [name for name in amounts if doubts.keys().isdisjoint(CAUSES[name].needs)]
     return pose, {name: amounts[name] for name in certain}
 
@@ -323,10 +336,9 @@ def _amounts(real: Side, sim: Side, recorded: Side, explained: Explained) -> dic
     parts = search_tree(np.vstack([missing_parts, invented_parts]))
     is_used_real = ~(_is_near(real, parts) | missing.is_beyond | explained.real)
     is_used_sim = ~(_is_near(sim, parts) | explained.sim)
-    nearest_m = [float(np.quantile(side.range_m, 0.001)) for side in (real, sim)]
     return {
         "maximum range": _maximum_range(real.chosen(~explained.real), sim.chosen(~explained.sim)),
-        "minimum range": _difference(*nearest_m),
+        "minimum range": _difference(least_range_m(real), least_range_m(sim)),
         "moved parts": _share_of(missing.is_moved),
         "missing parts": _share_of(missing.is_part),
         "invented parts": _share_of(invented.is_part),
@@ -498,9 +510,11 @@ def _elevation_noise(real: Side, sim: Side, recorded: Side) -> Amount:
     known = _known_difference(a, b, "elevation_noise_deg", "elevation_deg")
     if known.amount is not None or not a.elevation_deg:
         return known
-    blurred = blurred_elevation_deg(a, recorded)
-    if blurred is not None and a.elevation_noise_deg is not None:
-        return _difference(a.elevation_noise_deg, blurred)
+    is_seen = real.elevation_deg > np.quantile(sim.elevation_deg, 0.001)  # lowest beams may be dead
+    real_deg = blurred_elevation_deg(a, real.chosen(is_seen))
+    sim_deg = blurred_elevation_deg(a, recorded)
+    if real_deg is not None and sim_deg is not None:
+        return _difference(real_deg, sim_deg)
     real_blur = road_blur_deg2(real)
     sim_blur = road_blur_deg2(sim)
     if real_blur is None or sim_blur is None or sim_blur <= real_blur:
@@ -511,7 +525,7 @@ def _elevation_noise(real: Side, sim: Side, recorded: Side) -> Amount:
 def _beam_amount(real: Side, sim: Side, recorded: Side, explained: Explained) -> Amount:
     """Beams more or fewer than the real sensor's; dead ones are counted if the simulated ones are not distinct, or few.
 
-    Exchanged beams can appear as further ones.
+    Exchanged beams can appear as further ones. Beams that only see what a minimum range cuts off do not count.
     """
     n_real = len(real.sensor.elevation_deg)
     n_sim = len(sim.sensor.elevation_deg)

@@ -31,7 +31,7 @@ _ORDERS = 6  # of more corrections
 class Correction:
     """Changes of the simulated points that correct causes.
 
-    displacement : (11,) of `displacement.PARAMETERS`, to be undone
+    displacement : (12,) of `displacement.PARAMETERS`, to be undone
     elevation_scale : to be undone
     along_m : (m,) change of the ranges
     keep : (m,) bool

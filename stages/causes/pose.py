@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, level_m
 from ..displacement import Displacement, fit_displacement
 from ..linalg.nearest import search_tree
 from ..sensor_description import SensorDescription, describe_sensor
@@ -67,7 +67,7 @@ def undo_elevation_scale(points: FloatArray, scale: float) -> FloatArray:
     factor = 1.0 / (1.0 + scale)
     if factor == 1.0:
         return points
-    level = np.hypot(points[:, 0], points[:, 1])
+    level = level_m(points)
     elevation = np.arctan2(points[:, 2], level)
     range_m = np.hypot(level, points[:, 2])
     new_level = range_m * np.cos(factor * elevation)

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..arrays import BoolArray, FloatArray, IndexArray
+from ..arrays import BoolArray, FloatArray, IndexArray, azimuths_deg
 from ..clean import seen_from
 from ..linalg.nearest import search_tree
 from ..pieces import CutScan
@@ -62,7 +62,7 @@ class Side:
     @cached_property
     def azimuth_deg(self) -> FloatArray:
         """(n,) direction around the vertical, 0 ahead, positive to the left."""
-        return np.degrees(np.arctan2(self.points[:, 1], self.points[:, 0]))
+        return azimuths_deg(self.points)
 
     @cached_property
     def elevation_deg(self) -> FloatArray:

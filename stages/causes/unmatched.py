@@ -19,6 +19,7 @@ _WIDE_GAP_DEG = (30.0, 330.0)
 _DENSE_DEG = 0.35  # azimuth between returns up to which sectors are fine
 #: A point without a counterpart is farther from the other side than this, and this times its range.
 APART_M, APART_PER_M = 0.25, 0.01
+_CUT = 0.003  # of the points of beams that are not dead: nearer ones that a minimum range cuts off
 _CLUTTER_M = 6.0  # nearer returns without a real counterpart are clutter
 _CUT_M = 0.1  # beyond the nearest return, where cleaning may drop that of one side only
 _CLUSTER_M = 0.6
@@ -55,21 +56,32 @@ def explain_directions(real: Side, sim: Side) -> Explained:
     """Blind directions, dead and exchanged beams of a pair whose simulated side is without its displacement."""
     is_blind, blind_deg = _blind_directions(real, sim)
     is_unseen, _ = _blind_directions(sim, real)
+    is_near = real.range_m < least_range_m(sim)
     dead = np.empty(0, dtype=np.intp)
     is_dead = np.zeros(len(real.points), dtype=np.bool_)
     exchanged, is_exchanged_real, is_exchanged_sim = _find_exchanged(real, sim)
     if real.sensor.elevation_deg and not exchanged:
+        beam = real.sensor.beam_of(real.sensor_points)
         dead = dead_beams(real.sensor, real.chosen(~is_blind), sim)
-        is_dead = np.isin(real.sensor.beam_of(real.sensor_points), dead)
+        is_dead = np.isin(beam, dead)
+        if (is_near & ~is_dead).mean() > _CUT:
+            dead = dead_beams(real.sensor, real.chosen(~is_blind & ~is_near), sim)
+            is_dead = np.isin(beam, dead)
+    is_near &= (is_near & ~is_dead).mean() > _CUT
     return Explained(
         blind_deg=blind_deg,
         dead=dead,
         exchanged=exchanged,
         is_blind=is_blind,
         is_dead=is_dead,
-        real=is_blind | is_dead | is_exchanged_real,
+        real=is_blind | is_dead | is_near | is_exchanged_real,
         sim=is_exchanged_sim | is_unseen,
     )
+
+
+def least_range_m(side: Side) -> float:
+    """Range from which on a side has returns, but for one in a thousand, metres."""
+    return float(np.quantile(side.range_m, 0.001))
 
 
 def in_gap(side: Side, other: Side) -> BoolArray:

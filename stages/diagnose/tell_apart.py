@@ -9,13 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from ...schemas.errors import StageError
-from ..arrays import BoolArray, FloatArray, IndexArray, IntArray
+from ..arrays import BoolArray, FloatArray, IndexArray, IntArray, azimuths_deg
 from ..statistics.comparison import mean_interval
 from ..surfels import fit_planes
 
@@ -70,8 +69,8 @@ def describe_points(
     *,
     own_points: FloatArray | None = None,
     intensity: FloatArray | None = None,
-) -> tuple[FloatArray, tuple[str, ...]]:
-    """Local features of some points of a scan, (m, f) float64, and the name of each.
+) -> dict[str, FloatArray]:
+    """Local features of some points of a scan, (m,) float64 each, by name.
 
     None of them depends on where a point is, or on where the scan is relative to another. Per scale: planarity and
     scattering of the neighbourhood (shape), its thickness (roughness, the root of the smallest eigenvalue of the
@@ -107,7 +106,7 @@ def describe_points(
         around = intensity[tree.query(chosen, k=scales[0])[1]]
         columns += [intensity[rows], around.mean(axis=1), around.std(axis=1)]
         names += FAMILIES["intensity"]
-    return np.column_stack(columns), names
+    return dict(zip(names, columns, strict=True))
 
 
 def separate(features: FloatArray, is_sim: BoolArray, splits: Sequence[Fold]) -> Separation:
@@ -119,23 +118,18 @@ def separate(features: FloatArray, is_sim: BoolArray, splits: Sequence[Fold]) ->
     is_sim : (n,) bool
     splits : from `folds`
     """
+    from sklearn.ensemble import HistGradientBoostingClassifier
     from sklearn.model_selection import cross_val_score
 
-    n_trees = TREES if features.shape[1] > 1 else TREES_ALONE
-    by_fold = cross_val_score(_classifier(n_trees), features, is_sim, scoring="roc_auc", cv=splits)
+    classifier = HistGradientBoostingClassifier(
+        max_iter=TREES if features.shape[1] > 1 else TREES_ALONE,
+        max_leaf_nodes=15,
+        early_stopping=False,
+        random_state=0,
+    )
+    by_fold = cross_val_score(classifier, features, is_sim, scoring="roc_auc", cv=splits)
     auc, low, high = mean_interval(by_fold)
     return Separation(by_fold, auc, max(0.0, low), min(1.0, high))
-
-
-def simulated_probability(
-    features: FloatArray, is_sim: BoolArray, splits: Sequence[Fold]
-) -> FloatArray:
-    """(n,) probability of being simulated, by the classifier that has not seen the point's place; NaN if none."""
-    probability = np.full(len(is_sim), np.nan)
-    for train, test in splits:
-        model = _classifier(TREES).fit(features[train], is_sim[train])
-        probability[test] = model.predict_proba(features[test])[:, 1]
-    return probability
 
 
 def folds(place: IntArray, azimuth_deg: FloatArray, is_sim: BoolArray) -> list[Fold]:
@@ -185,18 +179,10 @@ def _has_both(is_sim: BoolArray) -> bool:
     return bool(min(np.bincount(is_sim, minlength=2)) >= _LEAST_POINTS)
 
 
-def _classifier(n_trees: int) -> Any:
-    from sklearn.ensemble import HistGradientBoostingClassifier
-
-    return HistGradientBoostingClassifier(
-        max_iter=n_trees, max_leaf_nodes=15, early_stopping=False, random_state=0
-    )
-
-
 def _rays(points: FloatArray, rows: IndexArray) -> list[FloatArray]:
     range_m = np.linalg.norm(points, axis=1)
     elevation = np.degrees(np.arcsin(points[:, 2] / range_m))
-    azimuth = np.degrees(np.arctan2(points[:, 1], points[:, 0])) * np.cos(np.radians(elevation))
+    azimuth = azimuths_deg(points) * np.cos(np.radians(elevation))
     places = np.column_stack([azimuth, _ROW_WEIGHT * elevation])
     near = cKDTree(places).query(places[rows], k=5)[1][:, 1:]
     step = np.abs(places[near[:, 0]] - places[rows])

@@ -1,7 +1,9 @@
 """Known flaws of simulators, applied to a scan in a given amount, to see which scores respond.
 
 Each needs only the points of a scan, so that it has the same meaning for every scan; a beam through
-a hole does not hit anything behind it.
+a hole does not hit anything behind it. Noise, dropout and rigid motion are those of the paper (section "Controlled
+Perturbation Analysis"); it names hallucination and local density change but does not sweep them, so their definitions
+are ours.
 """
 
 from __future__ import annotations
@@ -16,15 +18,6 @@ from scipy.spatial import cKDTree
 from ...schemas.errors import FidpipeError, SettingsError, suggestion
 from ..arrays import BoolArray, FloatArray
 from ..surfels import fit_planes, voxel_means
-from .perturbations import (
-    add_clusters,
-    add_noise,
-    change_density,
-    drop_points,
-    grow_regions,
-    move_rigidly,
-    reorder,
-)
 
 SCATTERED = 0.1  # l3 / l1 of foliage, and more
 _NEIGHBOURS = 40
@@ -32,6 +25,12 @@ _BLUR_VOXELS = 4  # per radius
 _BLUR_NEIGHBOURS = 96
 _FAR_M = 25.0
 _HOLE_M = 1.5
+_CLUSTER_POINTS = 20
+_CLUSTER_STD_M = 0.15
+_CLUSTER_DISTANCE_M = 0.5
+_REGION_RADIUS_M = 2.0
+_REGION_SHARE = 0.3
+_SURFACE_NEIGHBOURS = 5
 
 
 @dataclass(frozen=True)
@@ -130,6 +129,93 @@ def carried(points: FloatArray, intensity: FloatArray, altered: FloatArray) -> F
         return intensity[: len(altered)]
     _, nearest = cKDTree(points).query(altered)
     return intensity[nearest]
+
+
+def reorder(points: FloatArray, n_lost: float, rng: Generator) -> FloatArray:
+    """All points except a few, in a random order: the scene is the same, but Louvain visits nodes in their order."""
+    return points[rng.permutation(len(points))[round(n_lost) :]]
+
+
+def add_noise(points: FloatArray, std_m: float, rng: Generator) -> FloatArray:
+    """Points with independent Gaussian noise on each coordinate."""
+    return points + rng.normal(0.0, std_m, points.shape)
+
+
+def drop_points(points: FloatArray, share: float, rng: Generator) -> FloatArray:
+    """The points without those lost, each independently with the same probability."""
+    return points[rng.random(len(points)) >= share]
+
+
+def move_rigidly(
+    points: FloatArray,
+    angle_deg: float,
+    rng: Generator,
+    shift_m: float = 0.0,
+) -> FloatArray:
+    """Points rotated about +Z through the sensor, then moved in a random horizontal direction."""
+    angle = np.radians(angle_deg)
+    heading = rng.uniform(0.0, 2 * np.pi)
+    cos = np.cos(angle)
+    sin = np.sin(angle)
+    R = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return points @ R.T + shift_m * np.array([np.cos(heading), np.sin(heading), 0.0])
+
+
+def add_clusters(points: FloatArray, share: float, rng: Generator) -> FloatArray:
+    """The points and round(share n) spurious ones, in clusters of 20 (the last one smaller).
+
+    The centre of a cluster is 0.5 m from a random point in a random direction, its points are
+    Gaussian about the centre with 0.15 m on each coordinate: a blob of foliage or mesh in empty
+    space.
+    """
+    n_new = round(share * len(points))
+    if not n_new:
+        return points.copy()
+    n_clusters = -(-n_new // _CLUSTER_POINTS)
+    direction = rng.normal(size=(n_clusters, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    centre = points[rng.integers(len(points), size=n_clusters)] + _CLUSTER_DISTANCE_M * direction
+    cluster_ids = np.arange(n_new) // _CLUSTER_POINTS
+    return np.vstack([points, centre[cluster_ids] + rng.normal(0.0, _CLUSTER_STD_M, (n_new, 3))])
+
+
+def change_density(points: FloatArray, factor: float, rng: Generator) -> FloatArray:
+    """The points with another density in regions that together hold 30 % of them.
+
+    Regions grow about random points: each takes the nearest free points within 2 m until the share
+    is reached. Below 1, a point of a region stays with probability `factor`. Above 1, a region of m
+    points gets round((factor - 1) m) more, each on the line from a random point of the region to a
+    random one of its 5 nearest neighbours in the scan, so that they lie on the surface.
+    """
+    chosen = grow_regions(points, round(_REGION_SHARE * len(points)), rng)
+    if factor <= 1:
+        return points[~chosen | (rng.random(len(points)) < factor)]
+    n_new = round((factor - 1) * np.count_nonzero(chosen))
+    if not n_new or len(points) < 2:
+        return points.copy()
+    start = rng.choice(np.flatnonzero(chosen), size=n_new)
+    n_near = min(_SURFACE_NEIGHBOURS, len(points) - 1)
+    _, near = cKDTree(points).query(points[start], k=n_near + 1)
+    end = near[np.arange(n_new), rng.integers(1, n_near + 1, size=n_new)]
+    return np.vstack(
+        [points, points[start] + rng.random((n_new, 1)) * (points[end] - points[start])],
+    )
+
+
+def grow_regions(points: FloatArray, n_chosen: int, rng: Generator) -> BoolArray:
+    """Mask of `n_chosen` points in regions of 2 m about random points, (n,) bool."""
+    chosen = np.zeros(len(points), dtype=np.bool_)
+    tree = cKDTree(points)
+    n_left = n_chosen
+    while n_left:
+        centre = points[rng.choice(np.flatnonzero(~chosen))]
+        inside = np.array(tree.query_ball_point(centre, _REGION_RADIUS_M), dtype=np.intp)
+        inside = inside[~chosen[inside]]
+        distance = np.linalg.norm(points[inside] - centre, axis=1)
+        taken = inside[np.lexsort((inside, distance))[:n_left]]
+        chosen[taken] = True
+        n_left -= len(taken)
+    return chosen
 
 
 def is_foliage(points: FloatArray) -> BoolArray:

@@ -5,14 +5,12 @@ Moving objects leave a trail in the map: later rays that pass through do not rem
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
 from ...schemas.sensor_models import SensorModel
-from ..arrays import FloatArray, IndexArray, sums_by_id
+from ..arrays import FloatArray, IndexArray, azimuths_deg, slopes_deg, sums_by_id
 from ..surfels import fit_planes, voxel_ids
 from .flaws import SCATTERED
 from .ray_casting import cast_rays, measure_ranges
@@ -40,24 +38,12 @@ RECORDED = SensorModel(
 )
 
 
-@dataclass(frozen=True)
-class VoxelMap:
-    """Scans in one frame of reference, downsampled to one point per voxel.
-
-    points : (n, 3) float64, metres, mean of the points in each voxel
-    n_points : (n,) float64, their number
-    intensity : (n,) float64, their mean intensity; NaN if a scan has none
-    """
-
-    points: FloatArray
-    n_points: FloatArray
-    intensity: FloatArray
+#: Scans in one frame of reference, downsampled to one point per voxel: mean x, y, z in metres and mean intensity (NaN
+#: if a scan has none) of the points in each voxel, and their number.
+EMPTY_MAP: FloatArray = np.empty((0, 5))
 
 
-EMPTY_MAP = VoxelMap(np.empty((0, 3)), np.empty(0), np.empty(0))
-
-
-def extend_map(voxels: VoxelMap, points: FloatArray, intensity: FloatArray) -> VoxelMap:
+def extend_map(voxels: FloatArray, points: FloatArray, intensity: FloatArray) -> FloatArray:
     """Add the points of a scan to a map; its size is bounded by the surface, not by the number of scans.
 
     Voxels have an edge of 0.1 m within 15 m of the sensor, twice that to 30 m, and so on: about the
@@ -65,29 +51,25 @@ def extend_map(voxels: VoxelMap, points: FloatArray, intensity: FloatArray) -> V
 
     Parameters
     ----------
-    points : (n, 3) float64, metres, in the frame of the new scan
-    intensity : (n,) float64, NaN if unknown
+    voxels : (n, 5) float64, see `EMPTY_MAP`
+    points : (m, 3) float64, metres, in the frame of the new scan
+    intensity : (m,) float64, NaN if unknown
     """
-    before = np.column_stack([voxels.points, voxels.intensity])
-    columns = np.concatenate([before, np.column_stack([points, intensity])])
-    weight = np.concatenate([voxels.n_points, np.ones(len(points))])
-    band = _bands(columns[:, :3])
-    means = []
-    totals = []
+    rows = np.concatenate([voxels, np.column_stack([points, intensity, np.ones(len(points))])])
+    band = _bands(rows[:, :3])
+    merged = []
     for number in range(_BANDS):
-        rows = np.flatnonzero(band == number)
-        voxel_m = VOXEL_M * 2.0**number
-        _, ids = np.unique(voxel_ids(columns[rows, :3], voxel_m), return_inverse=True)
-        total = np.bincount(ids, weight[rows])
-        sums = sums_by_id(weight[rows, None] * columns[rows], ids, len(total))
-        means.append(sums / total[:, None])
-        totals.append(total)
-    mean = np.concatenate(means)
-    return VoxelMap(mean[:, :3], np.concatenate(totals), mean[:, 3])
+        of_band = rows[band == number]
+        weight = of_band[:, 4]
+        _, ids = np.unique(voxel_ids(of_band[:, :3], VOXEL_M * 2.0**number), return_inverse=True)
+        total = np.bincount(ids, weight)
+        sums = sums_by_id(weight[:, None] * of_band[:, :4], ids, len(total))
+        merged.append(np.column_stack([sums / total[:, None], total]))
+    return np.concatenate(merged)
 
 
 def rescan(
-    voxels: VoxelMap, directions: FloatArray, sensor: SensorModel, rng: np.random.Generator
+    voxels: FloatArray, directions: FloatArray, sensor: SensorModel, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
     """Scan a map by a sensor at the origin.
 
@@ -101,7 +83,7 @@ def rescan(
 
     Parameters
     ----------
-    voxels : in the frame of the new scan
+    voxels : (n, 5) float64, see `EMPTY_MAP`, in the frame of the new scan
     directions : (n, 3) float64, unit vectors
     rng : noise and losses
 
@@ -110,7 +92,7 @@ def rescan(
     points : (m, 3) float64, metres, sensor frame, in the order of the rays
     intensity : (m,) float64, of the surface that each ray hit; NaN if unknown
     """
-    points = voxels.points
+    points = voxels[:, :3]
     if not len(points):
         return np.empty((0, 3)), np.empty(0)
     widest_m = (_WIDEST * VOXEL_M * 2.0 ** _bands(points)).astype(np.float64)
@@ -127,7 +109,7 @@ def rescan(
     is_detected = rng.random(len(range_m)) >= sensor.lost_share
     range_m = measure_ranges(sensor, range_m, rng)
     is_detected &= (range_m >= sensor.min_range_m) & (range_m <= sensor.max_range_m)
-    return (rays * range_m[:, None])[is_detected], voxels.intensity[surfels[is_detected]]
+    return (rays * range_m[:, None])[is_detected], voxels[surfels[is_detected], 3]
 
 
 def _onto_planes(
@@ -174,8 +156,8 @@ def recorded_directions(scan: FloatArray, others: FloatArray) -> FloatArray:
 
 def _direction_cells(points: FloatArray) -> tuple[IndexArray, IndexArray]:
     """Column and row of the cell of each direction."""
-    azimuth = np.degrees(np.arctan2(points[:, 1], points[:, 0])) + 180.0
-    elevation = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))) + 90.0
+    azimuth = azimuths_deg(points) + 180.0
+    elevation = slopes_deg(points) + 90.0
     columns = np.floor(azimuth / _AZIMUTH_CELL_DEG).astype(np.intp) % _DIRECTION_CELLS[0]
     return columns, np.floor(elevation / _ELEVATION_CELL_DEG).astype(np.intp)
 

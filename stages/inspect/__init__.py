@@ -1,1 +1,1 @@
-"""Inspecting scans: sensors, beam patterns, frames, sequences and time stamps."""
+"""Inspecting the scans of a side as a sequence."""

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..arrays import FloatArray, IndexArray
+from ..arrays import FloatArray, level_m
 from ..frame_search import ground_height
 from ..linalg.subgraph import connected_points
 from ..surfels import voxel_ids
@@ -51,7 +51,7 @@ class SequenceScan:
     """
 
     def __init__(self, points: FloatArray) -> None:
-        level = np.hypot(points[:, 0], points[:, 1])
+        level = level_m(points)
         points = points[(level > _NEAREST_M) & (level < _FARTHEST_M)]
         _, first = np.unique(voxel_ids(points, _VOXEL_M), return_index=True)
         thinned = points[np.sort(first)]
@@ -160,35 +160,20 @@ def is_moving(side_moved_m: float) -> bool:
     return side_moved_m > _MOVING_M
 
 
-def find_static_side(real_moved_m: float, sim_moved_m: float) -> str | None:
-    """Side ("real" or "sim") whose scans are equal except for noise while those of the other side differ, or None.
+def is_static(side_moved_m: float, other_moved_m: float) -> bool:
+    """True if the scans of a side are equal except for noise while those of the other side differ.
 
     Parameters
     ----------
-    real_moved_m, sim_moved_m : see `moved_m`
+    side_moved_m, other_moved_m : see `moved_m`
     """
-    for side, side_m, other_m in (
-        ("real", real_moved_m, sim_moved_m),
-        ("sim", sim_moved_m, real_moved_m),
-    ):
-        if side_m < _STILL_M and is_moving(other_m) and other_m > 2.5 * side_m:
-            return side
-    return None
+    is_still = side_moved_m < min(_STILL_M, other_moved_m / 2.5)
+    return is_still and is_moving(other_moved_m)
 
 
-def find_empty_side(n_real: IndexArray, n_sim: IndexArray) -> str | None:
-    """Side ("real" or "sim") whose scans have less than a twentieth of the points of the other side, or None.
-
-    Parameters
-    ----------
-    n_real, n_sim : (n,), (m,) intp, points of each scan after cleaning; the medians are compared
-    """
-    if len(n_real) and len(n_sim):
-        if np.median(n_real) < _EMPTY * np.median(n_sim):
-            return "real"
-        if np.median(n_sim) < _EMPTY * np.median(n_real):
-            return "sim"
-    return None
+def is_nearly_empty(n_points: float, n_others: float) -> bool:
+    """True if the median scan of a side has less than a twentieth of the points of that of the other side."""
+    return n_points < _EMPTY * n_others
 
 
 def find_ego_hits(scans: Sequence[FloatArray], ground_m: float) -> EgoHits | None:
@@ -209,7 +194,7 @@ def find_ego_hits(scans: Sequence[FloatArray], ground_m: float) -> EgoHits | Non
         return None
     near = []
     for points in scans:
-        is_around = np.hypot(points[:, 0], points[:, 1]) < _AROUND_M
+        is_around = level_m(points) < _AROUND_M
         near.append(points[is_around & (np.abs(points[:, 2] - ground_m) > _EGO_GROUND_M)])
     trees = [cKDTree(points) for points in near]
     hits = [_staying(points, [*trees[:i], *trees[i + 1 :]]) for i, points in enumerate(near)]
@@ -243,5 +228,5 @@ def _staying(points: FloatArray, others: Sequence[cKDTree]) -> FloatArray:
     )
     component = connected_points(points[first], _LINK_M)[cell]
     reach = np.zeros(component.max() + 1)
-    np.maximum.at(reach, component, np.hypot(points[:, 0], points[:, 1]))
+    np.maximum.at(reach, component, level_m(points))
     return points[reach[component] < _EGO_M]

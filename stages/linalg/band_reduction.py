@@ -12,7 +12,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Mapping
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -67,10 +67,9 @@ def scipy_kernels() -> Kernels | None:
     """
     from scipy.linalg import cython_blas, cython_lapack
 
-    names = ("dsymm", "dsyr2k", "dgemm", "dtrmm")
-    capsules = {name: cython_blas.__pyx_capi__[name] for name in names}
-    capsules["dgeqrt3"] = cython_lapack.__pyx_capi__["dgeqrt3"]
-    return kernels_from(capsules)
+    capsules = cython_blas.__pyx_capi__ | cython_lapack.__pyx_capi__
+    names = ("dsymm", "dsyr2k", "dgemm", "dtrmm", "dgeqrt3")
+    return kernels_from({name: capsules[name] for name in names})
 
 
 def kernels_from(capsules: Mapping[str, object]) -> Kernels | None:
@@ -80,9 +79,11 @@ def kernels_from(capsules: Mapping[str, object]) -> Kernels | None:
     ----------
     capsules : by name, Python capsules whose names are the C signatures, as Cython exports them
     """
-    name_of = _python_function("PyCapsule_GetName", ctypes.c_char_p, [ctypes.py_object])
-    arguments = [ctypes.py_object, ctypes.c_char_p]
-    address_of = _python_function("PyCapsule_GetPointer", ctypes.c_void_p, arguments)
+    python = ctypes.pythonapi
+    name_type = ctypes.PYFUNCTYPE(ctypes.c_char_p, ctypes.py_object)
+    name_of = name_type(("PyCapsule_GetName", python))
+    address_type = ctypes.PYFUNCTYPE(ctypes.c_void_p, ctypes.py_object, ctypes.c_char_p)
+    address_of = address_type(("PyCapsule_GetPointer", python))
     kernels: dict[str, Kernel] = {}
     for name, capsule in capsules.items():
         signature: bytes = name_of(capsule)
@@ -91,12 +92,6 @@ def kernels_from(capsules: Mapping[str, object]) -> Kernels | None:
         addresses = [ctypes.c_void_p] * signature.count(b"*")
         kernels[name] = ctypes.CFUNCTYPE(None, *addresses)(address_of(capsule, signature))
     return kernels
-
-
-def _python_function(name: str, result: Any, arguments: list[Any]) -> Callable[..., Any]:
-    """One of the C functions of Python itself."""
-    function = ctypes.PYFUNCTYPE(result, *arguments)
-    return function((name, ctypes.pythonapi))
 
 
 class _Block(NamedTuple):
@@ -167,14 +162,13 @@ class _Reduction:
         self.info = np.zeros(1, dtype=np.intc)
         self.is_below = np.tril(np.ones((width, width)), -1)
         self.unit = np.eye(width)
-        self.vectors = np.empty((n_most, width), order="F")
-        self.products = np.empty((2, n_most, width))
-        self.small = np.empty((2, width, width))
-        self.v = (self.vectors.ctypes.data, self.number(n_most))
-        self.x = (self.products[0].ctypes.data, self.number(n_most))
-        self.y = (self.products[1].ctypes.data, self.number(width))
-        self.t = (self.small[0].ctypes.data, self.number(width))
-        self.m = (self.small[1].ctypes.data, self.number(width))
+        self.parts = np.empty((5, width * n_most))
+        self.vectors = self.parts[0].reshape((n_most, width), order="F")
+        self.v = (self.parts[0].ctypes.data, self.number(n_most))
+        self.x = (self.parts[1].ctypes.data, self.number(n_most))
+        self.y = (self.parts[2].ctypes.data, self.number(width))
+        self.t = (self.parts[3].ctypes.data, self.number(width))
+        self.m = (self.parts[4].ctypes.data, self.number(width))
 
     def at(self, row: int, column: int) -> tuple[int, int]:
         """Addresses of an element, and of the leading dimension of parts of the band."""
@@ -254,8 +248,7 @@ def _numbered(symmetric: scipy.sparse.csr_matrix) -> tuple[scipy.sparse.coo_matr
     """Lower triangle with nodes numbered from end to end, and the last row of each column, or one before it."""
     pairs = symmetric.tocoo()
     order = _from_end(symmetric)
-    place = np.empty(len(order), dtype=np.intp)
-    place[order] = np.arange(len(order))
+    place = np.argsort(order)
     row = place[pairs.row]
     column = place[pairs.col]
     is_lower = row >= column
@@ -275,4 +268,4 @@ def _from_end(symmetric: scipy.sparse.csr_matrix) -> IndexArray:
         last = int(order[-1])
     if len(order) < symmetric.shape[0]:
         order = scipy.sparse.csgraph.reverse_cuthill_mckee(symmetric, symmetric_mode=True)
-    return order.astype(np.intp)
+    return order.astype(int)

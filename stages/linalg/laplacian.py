@@ -30,7 +30,7 @@ def normalised_laplacian(weights: scipy.sparse.csr_matrix) -> scipy.sparse.csr_m
     scaled = weights.copy()
     scaled.data *= np.repeat(scale, np.diff(weights.indptr))
     scaled.data *= scale[weights.indices]
-    return scipy.sparse.diags_array(joined.astype(np.float64)).tocsr() - scaled
+    return scipy.sparse.diags_array(joined.astype(float)).tocsr() - scaled
 
 
 def induced_laplacian(graph: Subgraph, nodes: IndexArray) -> scipy.sparse.csr_matrix:

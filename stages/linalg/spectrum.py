@@ -27,8 +27,7 @@ def eigenvalues(symmetric: scipy.sparse.csr_matrix) -> FloatArray:
     kernels = scipy_kernels() if symmetric.shape[0] >= BANDED_FROM_NODES else None
     if kernels is None:
         dense = symmetric.toarray(order="F")
-        values: FloatArray = scipy.linalg.eigvalsh(dense, overwrite_a=True, check_finite=False)
-        return values
+        return scipy.linalg.eigvalsh(dense, overwrite_a=True, check_finite=False)
     band = reduce_to_band(symmetric, BAND_WIDTH, kernels)
     return scipy.linalg.eigvals_banded(band, lower=True, overwrite_a_band=True, check_finite=False)
 

@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..arrays import Float32Array, FloatArray, IndexArray, IntArray
+from ..arrays import Float32Array, FloatArray, IndexArray, IntArray, rows_by_id
 
 _NEAREST = 16  #: neighbours by which `connected_points` links most points at once
 
@@ -43,7 +43,7 @@ class Subgraph:
 
 def adjacency(n_nodes: int, edges: Edges) -> scipy.sparse.csr_matrix:
     """Symmetric weighted adjacency matrix, (n, n) CSR float64 with sorted indices; all zero without edges."""
-    half = upper_half(n_nodes, edges).astype(np.float64)
+    half = upper_half(n_nodes, edges).astype(float)
     return half + half.T.tocsr()
 
 
@@ -66,7 +66,7 @@ def connected_nodes(n_nodes: int, src: NDArray[np.integer], dst: NDArray[np.inte
     >>> connected_nodes(3, np.array([0]), np.array([2])).tolist()
     [0, 1, 0]
     """
-    is_linked = np.ones(len(src), dtype=np.bool_)
+    is_linked = np.ones(len(src), dtype=bool)
     graph = scipy.sparse.coo_matrix((is_linked, (src, dst)), shape=(n_nodes, n_nodes))
     return scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
 
@@ -91,7 +91,7 @@ def connected_points(points: FloatArray, link_m: float) -> IndexArray:
     """
     n = len(points)
     if not n:
-        return np.empty(0, dtype=np.intp)
+        return np.empty(0, dtype=int)
     bound = link_m * (1 + 1e-9)  # scipy's is exclusive
     k = np.arange(1, min(n, _NEAREST + 1) + 1)  # the point itself is the first
     distance_m, nearest = scipy.spatial.cKDTree(points).query(points, k, distance_upper_bound=bound)
@@ -141,17 +141,14 @@ def split_by_community(
     >>> split_by_community(ids, np.zeros((3, 3)), path, np.array([0, 0, 1]), [0])[0].adjacency.toarray().tolist()
     [[0.0, 1.0], [1.0, 0.0]]
     """
-    inside = np.flatnonzero(labels[edges.src] == labels[edges.dst])
-    by_community = inside[np.argsort(labels[edges.src[inside]], kind="stable")]
-    numbers = np.arange(int(labels.max()) + 2)
-    edge_ends = np.searchsorted(labels[edges.src[by_community]], numbers)
-    nodes_in_order = np.argsort(labels, kind="stable")
-    node_ends = np.searchsorted(labels[nodes_in_order], numbers)
+    nodes_of = rows_by_id(labels)
+    of_src = labels[edges.src]
+    edges_of = rows_by_id(np.where(of_src == labels[edges.dst], of_src, -1), len(nodes_of))
     index_inside = np.empty(len(labels), dtype=np.int32)
     subgraphs = {}
     for community in wanted:
-        nodes = nodes_in_order[node_ends[community] : node_ends[community + 1]]
-        rows = by_community[edge_ends[community] : edge_ends[community + 1]]
+        nodes = nodes_of[community]
+        rows = edges_of[community]
         index_inside[nodes] = np.arange(len(nodes), dtype=np.int32)
         src = index_inside[edges.src[rows]]
         dst = index_inside[edges.dst[rows]]

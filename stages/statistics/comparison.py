@@ -14,6 +14,7 @@ from functools import cache
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
+from ..summary import mean_and_std
 
 CONFIDENCE = 0.95
 #: Fewer independent pairs decide nothing but changes far beyond the noise.
@@ -79,8 +80,7 @@ def block_means(values: FloatArray, blocks: IntArray) -> FloatArray:
     np.add.at(sums, place, np.moveaxis(np.where(known, values, 0.0), -1, 0))
     np.add.at(counts, place, np.moveaxis(known, -1, 0))
     with np.errstate(invalid="ignore"):
-        means: FloatArray = np.moveaxis(sums / counts, 0, -1)
-    return means
+        return np.moveaxis(sums / counts, 0, -1)
 
 
 def paired_difference(
@@ -110,7 +110,7 @@ def paired_difference(
     blocks = np.arange(n_pairs, dtype=np.int32) if blocks is None else blocks[known]
     a, b = block_means(np.stack([before[known], after[known]]), blocks)
     change = b - a
-    std = float(change.std(ddof=1)) if len(change) > 1 else None
+    mean, std = mean_and_std(change)
     low = high = None
     if n_pairs > 1 and (np.abs(change) <= ALIKE).all():
         std = low = high = 0.0
@@ -121,7 +121,7 @@ def paired_difference(
         n_blocks=len(change),
         before=float(a.mean()),
         after=float(b.mean()),
-        difference=float(change.mean()),
+        difference=mean,
         std=std,
         low=low,
         high=high,

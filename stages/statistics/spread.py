@@ -32,25 +32,20 @@ def spread(values: FloatArray) -> Spread:
     from scipy.stats import t as student_t
 
     rows = [row[~np.isnan(row)] for row in values]
-    means = np.array([row.mean() for row in rows if len(row)], dtype=np.float64)
+    means = np.array([row.mean() for row in rows if len(row)], dtype=float)
     mean, std_pairs = mean_and_std(means)
     repeats = [row for row in rows if len(row) > 1]
     degrees = sum(len(row) - 1 for row in repeats)
-    if not degrees:
-        return Spread(
-            mean=mean,
-            std_pairs=std_pairs,
-            std_seeds=None,
-            least_pair=None,
-            least_dataset=None,
-        )
-    squares = sum(np.var(row, ddof=1) * (len(row) - 1) for row in repeats)
-    std_seeds = float(np.sqrt(squares / degrees))
-    least = float(student_t.isf((1 - CONFIDENCE) / 2, degrees)) * 2**0.5 * std_seeds
+    std_seeds = least = least_dataset = None
+    if degrees:
+        squares = sum(np.var(row, ddof=1) * (len(row) - 1) for row in repeats)
+        std_seeds = float(np.sqrt(squares / degrees))
+        least = float(student_t.isf((1 - CONFIDENCE) / 2, degrees)) * 2**0.5 * std_seeds
+        least_dataset = float(least / np.sqrt(len(means)))
     return Spread(
         mean=mean,
         std_pairs=std_pairs,
         std_seeds=std_seeds,
         least_pair=least,
-        least_dataset=float(least / np.sqrt(len(means))),
+        least_dataset=least_dataset,
     )

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from ..arrays import FloatArray
 
 
-@dataclass(frozen=True)
-class DoubleValidation:
+class DoubleValidation(NamedTuple):
     """Double validation metric of a score, in its unit; None if a side has no value.
 
     bias : positive if the simulation's values are larger

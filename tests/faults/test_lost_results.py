@@ -15,6 +15,7 @@ from fidpipe.pipeline.jobs import STAGES
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.schemas.errors import RunError
+from fidpipe.schemas.record import RunHeader
 from fidpipe.schemas.settings import load
 from runs import command, contents, marks, run
 
@@ -152,5 +153,5 @@ def test_what_killed_workers_leave_is_removed_without_a_word():
 def leave_unfinished(out):
     """Makes of a run's record what it was when the run began."""
     record = json.loads((out / "run.json").read_text())
-    header = ("fidpipe", "written", "dataset", "settings", "seed", "stages", "libraries", "machine")
-    (out / "run.json").write_text(json.dumps({name: record[name] for name in header}))
+    header = {name: record[name] for name in RunHeader.model_fields}
+    (out / "run.json").write_text(json.dumps(header))

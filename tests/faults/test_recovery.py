@@ -107,7 +107,7 @@ def test_another_table_of_pairs_takes_the_finished_record_away_until_it_has_the_
     for side in ("real", "sim"):
         (larger / side / "more.bin").write_bytes(b"no points")
     monkeypatch.setattr(
-        run_module, "write_timings", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt)
+        run_module, "timing_rows", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt)
     )
     with pytest.raises(KeyboardInterrupt):
         run(larger, again)

@@ -139,7 +139,7 @@ def test_any_manifest_is_read_or_refused(rows):
 @given(st.lists(st.floats(), max_size=13))
 def test_any_numbers_are_a_rigid_motion_or_are_refused(numbers):
     with suppress(FidpipeError):
-        motion = check_rigid("here", "T", np.array(numbers, dtype=np.float64))
+        motion = check_rigid("here: T", np.array(numbers, dtype=np.float64))
         assert motion.shape == (3, 4)
         assert np.isfinite(motion).all()
 

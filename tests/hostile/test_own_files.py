@@ -5,7 +5,6 @@ import io
 import json
 import re
 import shutil
-from types import SimpleNamespace
 
 import orjson
 import pyarrow as pa
@@ -14,8 +13,7 @@ import pytest
 
 from fidpipe.pipeline.datasets.pairs import Dataset
 from fidpipe.pipeline.generate import synth, twin
-from fidpipe.pipeline.report.page.run_data import _gate
-from fidpipe.pipeline.report.render import csv_table, terminal
+from fidpipe.pipeline.report.render import terminal
 from fidpipe.pipeline.report.view import Table
 from fidpipe.pipeline.results.best_case import BEST_CASE_DATASET, BEST_CASE_RECIPE, read_recipe
 from fidpipe.pipeline.results.finished import FinishedRun
@@ -33,7 +31,7 @@ TWIN = 'version = 1\nseed = 0\nsensor = "x"\ninputs_sha256 = "00"\nfiles = {}\n'
 def twins(out, replace=True):
     """Makes the twins of a recording without a frame."""
     recording = Dataset(out.parent / "posed", (), {})
-    twin.make_twins(recording, out, QUIET, replace=replace)
+    twin.make_twins(recording, out, QUIET, twin.TwinRecipe(), replace=replace)
 
 
 @pytest.mark.parametrize(
@@ -240,29 +238,3 @@ def test_no_message_steers_the_terminal(tmp_path):
     done = command("check", folder, code=1)
     assert "\x1b" not in done.stderr
     assert done.stderr.count("\n") == 1
-
-
-def test_no_cell_begins_a_formula():
-    names = ["=cmd|' /C calc'!A0", "+1+1", "-1+1", "@sum(A1)", "\t=1", "-5", "+2.5", "plain"]
-    text = csv_table(Table("", ["pair"], [[name] for name in names]))
-    cells = [line.strip('"') for line in text.splitlines()[1:]]
-    assert cells == [
-        "'=cmd|' /C calc'!A0",
-        "'+1+1",
-        "'-1+1",
-        "'@sum(A1)",
-        "\\u0009=1",
-        "-5",
-        "+2.5",
-        "plain",
-    ]
-
-
-@pytest.mark.parametrize(
-    "criteria", ["5", "[5]", '[{"name": "a"}]', '[{"name": 1, "measure": [], "limit": "x"}]', "["]
-)
-def test_criteria_that_no_gate_wrote_are_not_believed(tmp_path, criteria):
-    path = tmp_path / "gate.json"
-    path.write_text(f'{{"criteria": {criteria * (50_000 if criteria == "[" else 1)}}}')
-    (note,) = _gate(SimpleNamespace(folder=tmp_path), None)
-    assert "gate.json cannot be evaluated again" in note.text

@@ -21,9 +21,9 @@ import literal_surfaces
 from fidpipe.schemas.columns import SIDES
 from fidpipe.schemas.metric_catalogue import (
     COVERAGE_REACHES,
-    INTENSITY_SCORES,
     OBJECT_METRICS,
     SHIFT_COLUMNS,
+    scores_of,
 )
 
 #: Objects with more points are accepted as stored: dense matrices of all their nodes take minutes.
@@ -386,7 +386,7 @@ def rays(pair):
     range_m = stored["real_range_m"].fillna(stored["sim_range_m"])
     yield pair.rows("ray_scores", _ray_scores(pair, stored, range_m))
     row = dict.fromkeys([*literal_rays.scores(_ray_columns(stored)), "intensity_note"])
-    row |= {metric.column: None for metric in INTENSITY_SCORES}
+    row |= dict.fromkeys(scores_of("intensity"))
     if len(stored):
         yield pair.rows("rays", _outcomes(pair, stored))
         row |= literal_rays.scores(_ray_columns(stored)) | _intensity_scores(pair, stored)

@@ -129,7 +129,7 @@ def test_tables_of_drawn_scenes_are_the_literal_ones(tmp_path_factory, n_example
     agrees()
 
 
-@pytest.mark.parametrize("word", ["input.sim_flip_y=true", "graph.ties=coordinates"])
+@pytest.mark.parametrize("word", ["input.sim_frame=carla", "graph.ties=coordinates"])
 def test_tables_of_lattices_with_equal_distances_are_the_literal_ones(tmp_path, word):
     lattice = grid(np.arange(4), np.arange(4), np.arange(4))
     others = np.vstack([lattice * 0.5 + [-8, 3, 0], lattice[:30] + [3, -9, 0]])

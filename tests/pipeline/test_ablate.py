@@ -9,7 +9,7 @@ from matplotlib.image import imread
 
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.evaluate import evaluate_pair
-from fidpipe.pipeline.jobs import graph_job, metrics_job
+from fidpipe.pipeline.jobs import graph_job
 from fidpipe.pipeline.paper.ablate import ParameterSet, ablate_dataset, means_along, parameter_sets
 from fidpipe.schemas.errors import DatasetError, RunError, SettingsError
 from fidpipe.schemas.metric_catalogue import OBJECT_METRICS
@@ -68,17 +68,7 @@ def test_a_graph_is_built_once_for_each_pair_side_and_graph_setting(dataset, tmp
 
     build_graph = graph_job.build_graph
     monkeypatch.setattr(graph_job, "build_graph", counted)
-    scored = []
-    score_object = metrics_job.score_object
-
-    def noted(*arguments, **options):
-        scored.append(score_object(*arguments, **options))
-        return scored[-1]
-
-    monkeypatch.setattr(metrics_job, "score_object", noted)
     outcome = ablated(dataset, tmp_path / "run")
-    n_matched = outcome.tables["ablate"].to_pandas().groupby("delta_m").n_matched.sum()
-    assert n_matched[5.0] <= len(scored) < n_matched.sum()
     assert outcome.tables["ablate"].num_rows == 2 * (1 + 1 + 1 + 1)
     assert len(built) == len(set(built)) == 2 * 2 * 2  # pairs, sides, values of k
     built.clear()

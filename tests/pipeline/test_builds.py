@@ -50,7 +50,7 @@ def test_three_commands_lead_from_two_builds_to_a_decision_and_its_first_cause(b
     for words in (first, second):
         command(*words.split(), "--workers", 1, cwd=builds, code=0)
     text = command(*third.split(), cwd=builds, code=0).stdout
-    assert re.match(r"worse: height: \+2[012] cm, before \+\d+ cm", text), text
+    assert re.match(r"worse: world 2[012] cm too high, before \d+ cm", text), text
     assert "2 neighbouring frames of one place" in text
 
 

@@ -3,6 +3,7 @@
 import ctypes
 import os
 import signal
+import socket
 import time
 from dataclasses import replace
 from functools import partial
@@ -19,13 +20,14 @@ from fidpipe.pipeline.engine.cluster import (
     DaskPool,
     Requirements,
     code_hash,
+    code_versions,
     worker_fault,
 )
 from fidpipe.pipeline.engine.engine import Machines
 from fidpipe.pipeline.generate.best_case_run import run_best_case
 from fidpipe.pipeline.jobs import metrics_job, selection_job
 from fidpipe.pipeline.storage.run_record import library_versions
-from fidpipe.pipeline.storage.table_files import TOKEN
+from fidpipe.pipeline.storage.table_files import TOKEN, TableFolder
 from fidpipe.schemas.errors import RunError
 from fidpipe.schemas.settings import Settings
 from runs import (
@@ -174,7 +176,7 @@ def test_a_worker_of_another_version_is_refused_before_anything_runs(
     here = library_versions([library])[library]
     assert refused.returncode == 1
     assert f"{library} 0.0.9 (here {here})" in refused.stderr
-    assert f"scheduler {cluster.address}, worker tcp://127.0.0.1:" in refused.stderr
+    assert f"a worker on {socket.gethostname()}: " in refused.stderr
     assert not list((tmp_path / "run").rglob("*.parquet"))
 
 
@@ -184,7 +186,7 @@ def test_a_cluster_that_starts_workers_for_tasks_is_asked_for_one(tmp_path):
         n_workers=0, threads_per_worker=1, host="127.0.0.1", scheduler_kwargs={"dashboard": False}
     ) as adaptive:
         adaptive.adapt(minimum=0, maximum=1, interval="100ms")
-        required = Requirements({}, code_hash(), tmp_path, "shared")
+        required = Requirements(code_versions([]), TableFolder(tmp_path, "shared"))
         pool = DaskPool(1, address=adaptive.scheduler_address, required=required)
         (tmp_path / TOKEN).write_text("moved")  # a worker that joins from now on sees other files
         try:
@@ -261,14 +263,18 @@ def test_a_pair_that_never_ends_fails_alone_and_leaves_no_process(
 
 def test_a_worker_with_other_code_or_other_files_is_refused(tmp_path):
     (tmp_path / TOKEN).write_text("mine")
-    required = Requirements({}, code_hash(), tmp_path, "mine")
+    versions = code_versions([])
+    required = Requirements(versions, TableFolder(tmp_path, "mine"))
     assert worker_fault(required) == ""
-    assert f"({code_hash()}, here 01234567)" in worker_fault(replace(required, code="01234567"))
-    assert worker_fault(replace(required, token="another")).startswith(str(tmp_path))
+    others = replace(required, versions=dict.fromkeys(versions, "01234567"))
+    assert f"{code_hash()} (here 01234567)" in worker_fault(others)
+    another = replace(required, tables=TableFolder(tmp_path, "another"))
+    assert worker_fault(another).startswith(str(tmp_path))
     gone = tmp_path / "gone"
-    assert worker_fault(replace(required, folder=gone)).startswith(str(gone))
+    missing = replace(required, tables=TableFolder(gone, "mine"))
+    assert worker_fault(missing).startswith(str(gone))
     with pytest.raises(RunError, match=r"scipy .*0\.0\.9"):
-        engine_cluster._in_worker(replace(required, libraries={"scipy": "0.0.9"}), pow, 2, 5)
+        engine_cluster._in_worker(replace(required, versions={"scipy": "0.0.9"}), pow, 2, 5)
 
 
 @pytest.mark.exhaustive

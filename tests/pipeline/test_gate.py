@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fidpipe.pipeline.report.views.gate_view import gate_checks, junit_xml
+from fidpipe.pipeline.report.views.gate_view import junit_xml
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.gate import Criterion, judge_run, parse_word, read_criteria
 from fidpipe.pipeline.results.measures import Measures
@@ -42,6 +42,8 @@ def test_measures_are_the_numbers_of_the_tables(finished):
     assert of("match_rate.min") == pairs.match_rate.min()
     assert of("alignment_rms_m.std") == pytest.approx(pairs.alignment_rms_m_mean.std())
     assert of("objects.cdc.q95") == pytest.approx(metrics.cdc.quantile(0.95))
+    assert of("objects.r_lambda.std") == pytest.approx(metrics.r_lambda.std())
+    assert (of("objects.cdc.min"), of("cdc.max")) == (metrics.cdc.min(), pairs.cdc_mean.max())
     alone = matching[matching.status == "not_found"].merge(
         objects[objects.side == "real"],
         left_on=["pair_id", "real_id"],
@@ -217,17 +219,15 @@ def test_the_command_exits_with_zero_or_four_and_writes_what_ci_reads(again, tmp
         again,
         "--max",
         "r_lambda.mean=0",
-        "--junit",
-        tmp_path / "a.xml",
-        "--json",
-        tmp_path / "a.json",
+        "--out",
+        tmp_path,
         code=4,
     )
     assert "FAIL" in bad.stdout
     assert json.loads((again / "gate.json").read_text())["passed"] is True
-    found = json.loads((tmp_path / "a.json").read_text())
+    found = json.loads((tmp_path / "gate.json").read_text())
     assert found["passed"] is False
-    suite = ElementTree.parse(tmp_path / "a.xml").getroot().find("testsuite")
+    suite = ElementTree.parse(tmp_path / "gate.xml").getroot().find("testsuite")
     assert (suite.get("tests"), suite.get("failures")) == ("5", "1")
     failure = suite.find("testcase[@name='r_lambda.mean <= 0']/failure")
     assert "<= 0" in failure.get("message")
@@ -289,6 +289,6 @@ def test_a_wrong_file_of_criteria_is_named_with_the_field(tmp_path, text, fault)
 def test_names_that_xml_cannot_hold_still_give_xml(finished):
     name = "a\x00b\x1b[31m<script>&\"'雨"
     result = judge_run(finished, [Criterion(name, "class.<b>\x07.cdc.mean", "max", 1, "]]>")])
-    root = ElementTree.fromstring(junit_xml("gate", {"a": gate_checks(result)}))
+    root = ElementTree.fromstring(junit_xml("gate", {"a": result.judged}))
     cases = [case.get("name") for case in root.iter("testcase")]
-    assert cases[-1] == "a\ufffdb\ufffd[31m<script>&\"'雨"
+    assert cases[-1] == "a\\u0000b\\u001b[31m<script>&\"'雨"

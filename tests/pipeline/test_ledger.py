@@ -58,10 +58,10 @@ def test_entries_are_found_after_others_were_replaced_and_dropped(ledger, tmp_pa
     ledger.put_job(record("a", "matching", n=5))
     ledger.put_job(record("a", n=2))
     ledger.put_failure("b", "key", "reason")
-    ledger.drop_jobs("b", [record("b")])
-    ledger.drop_failure("b")
-    ledger.drop_jobs("c", [record("c")])
-    ledger.drop_failure("nobody")
+    ledger.put_job(record("b", n=3))  # the failure is of an earlier try
+    assert ledger.failure("b", ["key"]) is None
+    for pair_id in "bc":
+        ledger.drop_jobs(pair_id, [record(pair_id)])
     jobs = {("graph", "real"): record("a", n=2), ("matching", "real"): record("a", "matching", n=5)}
     assert Ledger(tmp_path).jobs("a") == jobs
     assert Ledger(tmp_path).pair_ids() == ["a"]

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from io import StringIO
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,7 +14,7 @@ from fidpipe.pipeline.report.views.show_view import show_view
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.overview import BAD_ALIGNMENT_M, describe_objects, largest_pieces
 from fidpipe.schemas.settings import MatchingSettings
-from fidpipe.stages.statistics.findings import BAND_EDGES_M, BAND_NAMES
+from fidpipe.stages.statistics.bands import BAND_EDGES_M, BAND_NAMES
 from reports import text_of
 from runs import command, run
 from scenes import drifted, street, write_bin, write_dataset, write_pair
@@ -60,21 +59,19 @@ def test_the_overview_of_the_record_is_that_of_the_tables(finished):
     )
     pieces = pd.read_parquet(folder / "pieces")
     both["band"] = np.array(BAND_NAMES)[np.digitize(both.range_m, BAND_EDGES_M) - 1]
-    for one in overview.surface:
+    groups = outcome.record.findings.groups
+    for one in groups:
         for side, n, share in (
-            ("real", one.n_real, one.missing_share),
-            ("sim", one.n_sim, one.invented_share),
+            ("real", one.n_real_points, one.missing_share),
+            ("sim", one.n_sim_points, one.invented_share),
         ):
             own = both[
-                (both.side == side)
-                & (both["label" if one.group == "class" else "band"] == one.name)
+                (both.side == side) & (both["label" if one.by == "class" else "band"] == one.name)
             ]
             assert n == own.n_points_x.sum()
             expected = (own.n_points_x * (1 - own.covered_0p3m)).sum() / n if n else None
             assert share == (None if expected is None else pytest.approx(expected))
-    assert {one.name for one in overview.surface if one.group == "class"} == set(
-        objects.label.dropna()
-    )
+    assert {one.name for one in groups if one.by == "class"} == set(objects.label.dropna())
     assert [one.n_points for one in overview.pieces] == pieces.n_points.nlargest(
         len(overview.pieces)
     ).tolist()
@@ -192,22 +189,12 @@ def test_check_as_json_names_each_scan_and_fault(finished, tmp_path):
     assert set(found["sensors"]["sides"]) == {"real", "sim"}
 
 
-def test_show_gives_csv_that_pandas_reads_and_markdown_tables(by_command):
+def test_show_prints_the_summary_and_a_pair(by_command):
     _, out = by_command
-    pairs = pd.read_csv(StringIO(command("show", out, "--csv").stdout))
-    assert pairs.cdc_mean.tolist() == pd.read_parquet(out / "pairs.parquet").cdc_mean.tolist()
-    objects = pd.read_csv(StringIO(command("show", out, NUSCENES[0], "--csv").stdout))
-    metrics = pd.read_parquet(out / "metrics").query("pair_id == @NUSCENES[0]").set_index("real_id")
-    matched = objects.query("fate == 'matched'")
-    real = matched.query("side == 'real'").set_index("community_id")
-    assert real.cdc.to_dict() == metrics.cdc.to_dict()
-    assert matched.query("side == 'sim'").cdc.tolist() == real.cdc.tolist()
-    one = pd.read_csv(StringIO(command("show", out, NUSCENES[0], 0, "--csv").stdout))
-    assert one.cdc.tolist() == 2 * [metrics.cdc[0]]
-    markdown = command("show", out, "--markdown").stdout
-    assert markdown.startswith("**streets: 3 pairs, preset paper**")
-    assert "\nsurface: " in markdown
-    assert NUSCENES[0] in command("show", out, NUSCENES[0], "--markdown").stdout
+    text = command("show", out).stdout
+    assert text.startswith("streets: 3 pairs, preset paper")
+    assert "\n  surface " in text
+    assert NUSCENES[0] in command("show", out, NUSCENES[0]).stdout
 
 
 def test_status_answers_in_ten_lines(by_command):
@@ -219,26 +206,13 @@ def test_status_answers_in_ten_lines(by_command):
 def test_the_findings_agree_with_the_tables(finished):
     _, folder, _ = finished
     found = json.loads((folder / "run.json").read_text())["findings"]
-    metrics = pd.read_parquet(folder / "metrics")
     objects = pd.read_parquet(folder / "objects")
     matching = pd.read_parquet(folder / "matching")
-    assert found["n_matched"] == len(metrics)
-    assert found["distributions"]["r_lambda"]["median"] == pytest.approx(metrics.r_lambda.median())
-    assert found["distributions"]["cdc"]["q95"] == pytest.approx(metrics.cdc.quantile(0.95))
-    assert found["density_ratio"]["max"] == pytest.approx((metrics.n_sim / metrics.n_real).max())
-    assert found["rank_correlation"]["spearman"] == pytest.approx(
-        metrics.cdc.corr(metrics.r_lambda, method="spearman")
-    )
     for side, what in (("real", "not_found"), ("sim", "extra")):
-        assert (
-            sum(band[f"n_{side}"] for band in found["range_m"]["bands"])
-            == (objects.side == side).sum()
-        )
-        assert (
-            sum(band[f"n_{what}"] for band in found["range_m"]["bands"])
-            == (matching.status == what).sum()
-        )
-        assert sum(row[f"n_{side}"] for row in found["classes"]) == (objects.side == side).sum()
+        for by in ("range", "class"):
+            groups = [group for group in found["groups"] if group["by"] == by]
+            assert sum(group[f"n_{side}"] for group in groups) == (objects.side == side).sum()
+            assert sum(group[f"n_{what}"] for group in groups) == (matching.status == what).sum()
 
 
 def test_a_run_with_nothing_new_reads_no_table_again(finished, monkeypatch):
@@ -260,19 +234,6 @@ def test_other_timestamps_make_other_findings(finished):
     finally:
         (data / "pairs.csv").write_text(manifest)
     assert run(data, folder).record.as_dict()["findings"] == before.record.as_dict()["findings"]
-
-
-def test_seconds_are_kept_by_stage_and_pair(finished):
-    _, folder, _ = finished
-    seconds = json.loads((folder / "run.json").read_text())["seconds"]
-    timings = pd.read_parquet(folder / "timings.parquet")
-    assert set(seconds["pairs"]) == {*NUSCENES}
-    total = timings.groupby(["pair_id", "stage"]).seconds.sum()
-    assert seconds["pairs"][NUSCENES[1]]["metrics"] == pytest.approx(
-        total[NUSCENES[1], "metrics"], abs=1e-6
-    )
-    louvain = timings[timings.step == "louvain"].seconds.sum() / 3
-    assert seconds["mean"]["communities"]["louvain"] == pytest.approx(louvain)
 
 
 def test_copies_of_a_pair_count_once(tmp_path):

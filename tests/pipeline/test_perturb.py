@@ -13,14 +13,14 @@ from fidpipe.pipeline.jobs.scoring import score_pair
 from fidpipe.pipeline.paper import perturb as experiment_module
 from fidpipe.pipeline.paper.perturb import (
     PerturbRequest,
+    choose_objects,
     chosen_objects,
     parse_levels,
     perturb_source,
 )
-from fidpipe.pipeline.paper.perturb_objects import choose_objects
 from fidpipe.pipeline.results.object_frame import SHAPES
 from fidpipe.pipeline.results.status import run_status
-from fidpipe.schemas.errors import DatasetError, RunError, ScanError, SettingsError
+from fidpipe.schemas.errors import RunError, SettingsError
 from fidpipe.schemas.settings import load
 from fidpipe.stages.generate.flaws import Perturbation, perturb
 from fidpipe.stages.graph import build_graph
@@ -123,10 +123,9 @@ def test_an_object_is_rebuilt_from_its_points_alone(done, scan, tmp_path, monkey
         "fidpipe.stages.graph.build_graph",
         lambda points, settings: (sizes.append(len(points)), build_graph(points, settings))[1],
     )
-    chosen = chosen_objects(done)[0]
     once = {"levels": parse_levels(["rigid=0:7"]), "repeats": 1, "global_repeats": 0}
-    perturbed(scan, tmp_path / "run", objects=(str(chosen["community_id"]),), **once)
-    assert sizes == [chosen["n_points"], chosen["n_points"]]
+    perturbed(scan, tmp_path / "run", **once)
+    assert sizes == np.repeat([of["n_points"] for of in chosen_objects(done)], 2).tolist()
 
 
 def test_a_finished_experiment_is_reused_and_another_request_replaces_it_only_if_asked(
@@ -194,24 +193,6 @@ def test_labelled_objects_are_the_classes_of_the_paper(labelled, tmp_path):
     assert [of["name"] for of in chosen_objects(outcome)] == ["car", "tree", "wall"]
 
 
-def test_objects_can_be_named_by_number_and_by_label(labelled, tmp_path):
-    outcome = perturbed(labelled, tmp_path / "run", objects=("1", "pole"), **ONCE)
-    assert [of["name"] for of in chosen_objects(outcome)] == ["object 1", "pole"]
-    assert chosen_objects(outcome)[0]["community_id"] == 1
-    with pytest.raises(ScanError, match="--objects 99"):
-        perturbed(labelled, tmp_path / "number", objects=("99",), **ONCE)
-    with pytest.raises(ScanError, match="car, pole, road, tree, wall"):
-        perturbed(labelled, tmp_path / "label", objects=("bus",), **ONCE)
-
-
-def test_an_object_that_is_named_twice_is_altered_once(labelled, tmp_path):
-    (car,) = chosen_objects(perturbed(labelled, tmp_path / "run", objects=("car",), **ONCE))
-    words = ("car", str(car["community_id"]))
-    both = perturbed(labelled, tmp_path / "both", objects=words, **ONCE)
-    assert chosen_objects(both) == [car]
-    assert len(rows(tmp_path / "both")) == 1
-
-
 @pytest.mark.parametrize(
     ("shapes", "chosen"),
     [
@@ -222,7 +203,7 @@ def test_an_object_that_is_named_twice_is_altered_once(labelled, tmp_path):
 def test_no_object_stands_for_two_shapes(shapes, chosen):
     objects = pd.DataFrame(shapes, columns=[*SHAPES])
     objects = objects.assign(n_points=99, range_m=1.0, label=None, label_share=1.0)
-    found = choose_objects(objects, "a", None, SETTINGS.graph.k)
+    found = choose_objects(objects, "a", SETTINGS.graph.k)
     assert [of["community_id"] for of in found] == chosen
 
 
@@ -252,8 +233,6 @@ def test_of_a_dataset_the_first_real_scan_is_taken_or_those_that_are_asked_for(t
         if row["metric"] == "match_rate"
     ]
     assert row["n"] == 2
-    with pytest.raises(DatasetError, match="one scan, got 2"):
-        perturbed(dataset, tmp_path / "two", pattern="00[12]", objects=("1",), **options)
 
 
 def test_a_dataset_whose_first_pair_lacks_its_simulated_scan_is_perturbed(tmp_path):
@@ -273,14 +252,13 @@ def test_a_dropout_that_leaves_nothing_is_null_with_a_reason(scan, tmp_path):
         "levels": (Perturbation("dropout", 1.0),),
         "repeats": 1,
         "global_repeats": 1,
-        "objects": ("0",),
     }
     settings = load(None, ["graph.k=12", "metrics.baselines=chamfer"])
     assert not perturbed(scan, tmp_path / "run", settings=settings, **options).failures
-    (row,) = pd.read_parquet(tmp_path / "run" / "perturb_objects.parquet").to_dict("records")
-    assert np.isnan([row["r_lambda"], row["cdc"]]).all()
-    assert (row["status"], row["n_points_altered"]) == ("too_small", 0)
-    assert row["reason"].endswith("got 0")
+    for row in pd.read_parquet(tmp_path / "run" / "perturb_objects.parquet").to_dict("records"):
+        assert np.isnan([row["r_lambda"], row["cdc"]]).all()
+        assert (row["status"], row["n_points_altered"]) == ("too_small", 0)
+        assert row["reason"].endswith("got 0")
     (row,) = pd.read_parquet(tmp_path / "run" / "perturb_global.parquet").to_dict("records")
     assert np.isnan(row["match_rate"])
     assert row["reason"].endswith("got 0")
@@ -356,19 +334,17 @@ def test_the_command_prints_the_scores_of_the_whole_scan_and_draws_its_figure(sc
 
 
 def test_a_curve_has_one_colour_in_all_panels_and_its_levels_as_ticks():
-    from fidpipe.pipeline.paper.experiment_views import Sweep, _draw_panel
+    from fidpipe.pipeline.paper.experiment_views import draw_panel
     from fidpipe.pipeline.report.figures.style import new_figure
 
     rows = [
-        {"curve": curve, "amount": amount, "metric": "r_lambda", "mean": 0.1, "std": 0.0}
+        {"curve": curve, "amount": amount, "mean": 0.1, "std": 0.0}
         for curve, amounts in (("wall", (0.001, 0.1)), ("car", (0.01, 0.1)))
         for amount in amounts
     ]
     with new_figure(3, 3) as figure:
         axis = figure.subplots()
-        _draw_panel(
-            axis, Sweep("noise (m)", pd.DataFrame(rows)), "r_lambda", {"car": "red", "wall": "blue"}
-        )
+        draw_panel(axis, pd.DataFrame(rows), {"car": "red", "wall": "blue"})
         lines = {bars.get_label(): bars.lines[0].get_color() for bars in axis.containers}
         ticks = [tick.get_text() for tick in axis.get_xticklabels()]
     assert lines == {"car": "red", "wall": "blue"}

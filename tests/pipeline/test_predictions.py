@@ -1,7 +1,5 @@
 """A user's model on both sides: a segmenter trained here, and boxes of clusters."""
 
-import csv
-import io
 import json
 
 import numpy as np
@@ -11,10 +9,13 @@ from sklearn.ensemble import RandomForestClassifier
 
 import fidpipe
 from fidpipe.pipeline.diagnose import predictions
-from fidpipe.pipeline.diagnose.prediction_files import read_kitti_boxes, read_nuscenes_boxes
-from fidpipe.pipeline.diagnose.predictions import compare_predictions
+from fidpipe.pipeline.diagnose.predictions import (
+    compare_predictions,
+    read_kitti_boxes,
+    read_nuscenes_boxes,
+)
 from fidpipe.pipeline.diagnose.predictions_view import agreement_view
-from fidpipe.schemas.errors import DatasetError
+from fidpipe.schemas.errors import DatasetError, ScanError
 from fidpipe.schemas.settings import TaskSettings, load
 from fidpipe.stages.pieces import CutScan
 from fidpipe.stages.predictions import (
@@ -116,8 +117,8 @@ def test_a_segmenter_is_compared_by_class_and_by_object(folder, labels):
     assert "IoU" in command(*words, code=0).stdout
     values = json.loads(command(*words, "--json", code=0).stdout)
     assert (values["kind"], len(values["objects"])) == ("labels", len(names))
-    rows = list(csv.DictReader(io.StringIO(command(*words, "--csv", code=0).stdout)))
-    assert [(row["pair_id"], int(row["community_id"])) for row in rows] == names
+    rows = values["objects"]
+    assert [(row["pair_id"], row["community_id"]) for row in rows] == names
 
 
 def test_sides_without_common_surface_have_no_classes(folder, labels, monkeypatch):
@@ -204,9 +205,7 @@ def test_a_pair_whose_boxes_hold_no_points_has_classes_but_no_objects(folder, tm
 
 def test_the_tasks_of_a_run_are_a_command_of_their_own(folder):
     assert "wrongly_free" in command("tasks", folder / "run", code=0).stdout
-    rows = list(
-        csv.DictReader(io.StringIO(command("tasks", folder / "run", "--csv", code=0).stdout))
-    )
+    rows = json.loads(command("tasks", folder / "run", "--json", code=0).stdout)
     assert rows[0]["measure"] == "lost"
 
 
@@ -215,7 +214,7 @@ def test_missing_and_damaged_predictions_are_named(folder, tmp_path):
     with pytest.raises(DatasetError, match="no predictions of a scored pair"):
         compare_predictions(finished, tmp_path, tmp_path)
     (tmp_path / "000.label").write_bytes(bytes(8))
-    with pytest.raises(DatasetError, match="000.label: expected .* bytes"):
+    with pytest.raises(ScanError, match="000.label: expected .* bytes"):
         compare_predictions(finished, tmp_path, tmp_path)
     (tmp_path / "a.txt").write_text("Car 0 0\n")
     with pytest.raises(DatasetError, match="line 1: expected a line of a KITTI label file"):

@@ -171,5 +171,5 @@ def test_missing_and_invented_objects_are_told_alike_everywhere(by_reference):
     found = pair_values(FinishedRun(by_reference), "0")["objects"]
     assert len([of for of in found if of["real"] is None]) == row["n_extra"]
     findings = json.loads((by_reference / "run.json").read_text())["findings"]
-    n_extra = sum(band["n_extra"] for band in findings["range_m"]["bands"])
+    n_extra = sum(of["n_extra"] for of in findings["groups"] if of["by"] == "range")
     assert n_extra == pairs.n_extra.sum()

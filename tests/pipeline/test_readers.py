@@ -156,15 +156,14 @@ def test_carla_ray_cast_has_its_intensity(tmp_path):
     scan = read_scan(tmp_path / "a.ply")
     np.testing.assert_array_equal(scan.points, POINTS)
     assert scan.intensity.tolist() == [0.25, 0.5, 0.875]
-    assert (scan.labels, scan.instances, scan.incidence) == (None, None, None)
+    assert (scan.labels, scan.instances) == (None, None)
 
 
-def test_carla_semantic_ray_cast_has_incidence_instances_and_names_of_tags(tmp_path):
+def test_carla_semantic_ray_cast_has_instances_and_names_of_tags(tmp_path):
     columns = {"CosAngle": [1.0, 0.5, 0.125], "ObjIdx": [0, 4000000000, 17], "ObjTag": [1, 14, 250]}
     (tmp_path / "a.ply").write_text(carla_ply(POINTS, columns))
     scan = read_scan(tmp_path / "a.ply")
     np.testing.assert_array_equal(scan.points, POINTS)
-    assert scan.incidence.tolist() == [1, 0.5, 0.125]
     assert scan.labels.tolist() == ["Roads", "Car", "250"]
     assert scan.instances[0] == 0
     assert len(set(scan.instances.tolist())) == 3

@@ -193,6 +193,15 @@ def test_a_run_from_and_to_a_bucket_has_the_tables_of_a_local_one(bucket, local,
     )
 
 
+def downloaded(url, folder):
+    """All objects below a URL as files of a folder."""
+    for stored in list_objects(url):
+        path = folder / stored.name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(read_object(f"{url}/{stored.name}"))
+    return folder
+
+
 KEPT = ("graph", "ground", "sensor")
 
 
@@ -211,7 +220,9 @@ def test_a_run_elsewhere_resumes_from_the_tables_that_are_there(
     for writes_all in (True, False):
         Faulty.requests = []
         command(*words, f"{bucket}/runs/half", code=0)
-        assert_same_tables(cache_of(f"{bucket}/runs/half"), local / "run")
+        assert not list(cache_of(f"{bucket}/runs/half").glob("graph/*")), "fetched when read"
+        half = downloaded(f"{bucket}/runs/half", tmp_path / f"half-{writes_all}")
+        assert_same_tables(half, local / "run")
         written = {
             path.split("/half/")[1].split("/")[0] for verb, path in Faulty.requests if verb == "PUT"
         }
@@ -322,7 +333,7 @@ def test_caches_of_nested_urls_are_apart_and_one_in_use_is_left_alone(bucket, lo
     assert cache_of(bucket) not in cache_of(own.url).parents
 
 
-def test_an_index_of_the_cache_that_was_cut_short_is_rebuilt(bucket, local):
+def test_an_index_of_the_cache_that_was_cut_short_is_rebuilt(bucket, local, tmp_path):
     upload(local / "set", f"{bucket}/set")
     url = f"{bucket}/runs/x"
     words = ("run", f"{bucket}/set", "--workers", "1", "--preset", "paper", "--out", url)
@@ -331,7 +342,7 @@ def test_an_index_of_the_cache_that_was_cut_short_is_rebuilt(bucket, local):
     for ways in (("show", url), words):
         index.write_bytes(index.read_bytes()[:40])
         assert "2 pairs" in command(*ways, code=0).stdout
-    assert_same_tables(cache_of(url), local / "run")
+    assert_same_tables(downloaded(url, tmp_path / "run"), local / "run")
 
 
 def test_a_user_without_home_and_name_reads_urls_and_runs(bucket, local):
@@ -571,8 +582,8 @@ def test_workers_without_a_shared_disk_finish_a_run_from_and_to_a_bucket(bucket,
             "--out",
             f"{bucket}/runs/apart",
         )
-        refused = command("run", dataset, *words, code=1)
-        assert "/set/real/000.bin" in refused.stderr
+        unseen = command("run", dataset, *words[:-1], f"{bucket}/runs/unseen", code=3)
+        assert "/set/real/000.bin" in unseen.stderr
         ended = command("run", f"{bucket}/set", *words, code=0)
         assert "set: 2 pairs in" in ended.stdout
         assert not list(cache_of(f"{bucket}/runs/apart").glob("graph/*")), (
@@ -580,7 +591,8 @@ def test_workers_without_a_shared_disk_finish_a_run_from_and_to_a_bucket(bucket,
         )
         again = command("run", f"{bucket}/set", *words)
         assert "0 jobs done" in again.stdout
-        assert_same_tables(cache_of(f"{bucket}/runs/apart"), local / "run")
+        apart = downloaded(f"{bucket}/runs/apart", tmp_path / "apart")
+        assert_same_tables(apart, local / "run")
         killer = threading.Thread(target=kill_after_a_table, args=(cluster.workers[0].pid,))
         Faulty.requests = []
         killer.start()

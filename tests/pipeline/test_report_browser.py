@@ -24,18 +24,17 @@ from browsers import (
     wait_for,
 )
 from fidpipe.pipeline.report.page.compare_page import compare_page
-from fidpipe.pipeline.report.page.run_data import score_limits
 from fidpipe.pipeline.report.page.run_page import write_report
 from fidpipe.pipeline.report.run_frames import read_results
 from fidpipe.pipeline.results.compare import compare_runs
+from fidpipe.schemas.metric_catalogue import QUADRANT_LIMITS
 from reports import HOSTILE_CLASS, HOSTILE_PAIRS
 
 WIDTHS = (1280, 390)
 BLUE = (0, 114, 178)
 VERMILION = (184, 78, 0)
-FARTHEST = "rgb(252,166,54)"  # the end of the light ramp
 FIRST_PAIR = HOSTILE_PAIRS[0]
-NO_SCORE = "\N{EN DASH}"
+NO_SCORE = "-"
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +132,7 @@ def requests(browser):
 def table(browser, name):
     """The texts of a table's rows as a frame."""
     script = """const table = document.querySelector('#' + arguments[0] + ' table');
-    return [...table.rows].map((row) => [...row.cells].map((cell) => cell.textContent))"""
+    return [...table.rows].filter((row) => !row.hidden).map((row) => [...row.cells].map((cell) => cell.textContent))"""
     head, *rows = browser.execute_script(script, name)
     return pd.DataFrame(rows, columns=head)
 
@@ -176,7 +175,8 @@ def turn_on(browser, name, is_on=True):
 
 def shown_numbers(browser, place="panel_numbers"):
     found = browser.find_elements("css selector", f"#{place} .value")
-    return {one.get_attribute("data-key"): one.text for one in found}
+    names = browser.find_elements("css selector", f"#{place} .name")
+    return {name.text: value.text for name, value in zip(names, found, strict=True)}
 
 
 def test_the_page_opens_from_disk_without_a_complaint_or_a_request(browser, opened, page_path):
@@ -226,19 +226,12 @@ def test_a_click_on_a_point_shows_its_object_with_the_numbers_of_the_parquet(pag
     ActionChains(page).move_to_element_with_offset(scene, dx, dy).pause(0.5).click().perform()
     wait_for(page, "return !document.getElementById('panel').hidden")
     row = metrics.loc[int(by_id(page, "object").get_attribute("value").removeprefix("real "))]
-    page.execute_script("document.getElementById('all_numbers').open = true")
     pixels(page, "overlay")
-    shown = shown_numbers(page, "panel_numbers") | shown_numbers(page, "more_numbers")
-    for column in (
-        "cdc",
-        "r_lambda",
-        "r_gap",
-        "max_eigenvalue_shift",
-        "laplacian_change",
-        "alignment_rms_m",
-    ):
-        assert shown[column] == f"{row[column]:.{2 if column.endswith('_m') else 3}f}", column
-    assert shown["n_keep"] == f"{row.n_keep:,}"
+    shown = shown_numbers(page)
+    names = {"cdc": "CDC", "r_lambda": "r_lambda", "centroid_distance_m": "offset (m)"}
+    for column, name in names.items():
+        assert shown[name] == f"{row[column]:.3f}", column
+    assert shown["real points"] == str(row.n_real)
     note = by_id(page, "overlay_note").text
     assert (
         f"{row.n_real:,} of {row.n_real:,} real points, {row.n_sim:,} of {row.n_sim:,} simulated points"
@@ -368,26 +361,6 @@ def test_a_comparison_draws_its_charts_in_the_theme_and_fits_the_window(
 
 
 @pytest.mark.exhaustive
-def test_points_are_coloured_by_their_distance_to_the_other_side(browser, by_reference, tmp_path):
-    """The distances themselves are those of the tables: `test_report`."""
-    resize(browser, WIDTHS[0])
-    open_page(browser, write_report(by_reference, out=tmp_path).page)
-    choose(browser, "object", "")
-    choose(browser, "colour", "distance")
-    traces = browser.execute_script(
-        "return document.getElementById('scene').data.slice(0, 2).map(({text, marker}) => [text, marker.color])"
-    )
-    for texts, colours in traces:
-        assert all(text.endswith("to the other side") for text in texts)
-        is_far = ["1 m or more" in text.rpartition("<br>")[2] for text in texts]
-        assert [colour == FARTHEST for colour in colours] == is_far
-        assert 0 < sum(is_far) < len(is_far)
-    assert near(pixels(browser, "scene"), (252, 166, 54)).sum() > 200
-    assert "1 m or more to the nearest point of the other side" in by_id(browser, "legend").text
-    assert complaints(browser) == []
-
-
-@pytest.mark.exhaustive
 def test_an_address_shows_its_object_also_if_it_changes_and_says_what_is_not_there(page, page_path):
     def ask(ending):
         page.execute_script("location.hash = arguments[0]", ending)
@@ -464,12 +437,7 @@ def test_an_unmatched_object_says_how_much_of_it_is_road(page, report_run):
     lone = results.unmatched[results.unmatched.pair_id == FIRST_PAIR]
     for row in lone.head(3).itertuples():
         choose(page, "object", f"{row.side} {row.community_id}")
-        share = getattr(row, f"road_share_{row.side}")
-        page.execute_script("document.getElementById('all_numbers').open = true")
-        shown = (shown_numbers(page) | shown_numbers(page, "more_numbers"))[
-            f"road_share_{row.side}"
-        ]
-        assert float(shown) == pytest.approx(share, abs=5e-4)
+        share = row.road_share
         other = {"real": "simulated", "sim": "real"}[row.side]
         said = (
             f"{round(100 * share)} % of it is road on the {other} side"
@@ -556,7 +524,7 @@ def test_tables_hint_at_columns_on_the_right_and_keep_rows_low_and_the_first_col
         tables = browser.execute_script(
             """return [...document.querySelectorAll('.scroll')].map((hint) => {
               const box = hint.nextElementSibling;
-              const rows = [...box.querySelectorAll('tbody tr')].map((row) => row.offsetHeight);
+              const rows = [...box.querySelectorAll('tbody tr:not([hidden])')].map((row) => row.offsetHeight);
               box.scrollLeft = 9999;
               const first = box.querySelector('td').getBoundingClientRect().left - box.getBoundingClientRect().left;
               return [!hint.hidden, box.scrollWidth - box.clientWidth, Math.max(...rows), first];
@@ -622,18 +590,19 @@ def test_a_filter_is_one_text_that_a_row_contains(page):
         assert (
             len(table(page, "objects_table")) == lines.str.contains(text.lower(), regex=False).sum()
         ), text
-    note = page.find_element("css selector", "#objects_table .note").text
-    assert note.startswith(f"0 of {len(everything)} objects")
+    note = page.find_element("css selector", "#objects_table .count").text
+    assert note == f"0 of {len(everything)}"
 
 
 @pytest.mark.exhaustive
-def test_the_alignment_is_seen_without_scrolling_and_hover_tells_whole_names(page):
-    for name in ("pairs_table", "objects_table"):
+def test_the_scores_are_seen_without_scrolling_and_hover_tells_whole_names(page):
+    for name, heading in (("pairs_table", "offset"), ("objects_table", "alignment")):
         right, edge = page.execute_script(
-            "const box = document.querySelector('#' + arguments[0] + ' .box');"
-            "const head = [...box.querySelectorAll('th')].find((one) => one.textContent.startsWith('alignment'));"
+            "const box = document.querySelector('#' + arguments[0] + ' .wide');"
+            "const head = [...box.querySelectorAll('th')].find((one) => one.textContent.startsWith(arguments[1]));"
             "return [head.getBoundingClientRect().right, box.getBoundingClientRect().right]",
             name,
+            heading,
         )
         assert right <= edge, name
         missing = page.execute_script(
@@ -696,7 +665,7 @@ def test_paper_is_light_and_shows_whole_tables_and_charts(page):
     assert printed["widest"] - 1 <= printed["page"] <= 1048, "A4 across, less its margins"
     sizes = {tuple(map(float, box.split())) for box in re.findall(rb"/MediaBox \[([\d. ]+)\]", pdf)}
     assert all(right > bottom for _, _, right, bottom in sizes), "all pages lie across"
-    assert 5 < len(re.findall(rb"/Type /Page\b", pdf)) <= 12
+    assert 4 < len(re.findall(rb"/Type /Page\b", pdf)) <= 12
     page.execute_cdp_cmd(
         "Emulation.setEmulatedMedia",
         {"media": "print", "features": [{"name": "prefers-color-scheme", "value": "light"}]},
@@ -716,11 +685,9 @@ def test_paper_is_light_and_shows_whole_tables_and_charts(page):
 
 
 @pytest.mark.exhaustive
-def test_the_legend_of_a_score_says_over_which_range_it_is_coloured(page, report_run):
-    limits = score_limits(read_results(report_run))
-    for score in ("r_lambda", "cdc"):
+def test_the_legend_of_a_score_says_over_which_range_it_is_coloured(page):
+    for score, limit in QUADRANT_LIMITS.items():
         choose(page, "colour", score)
-        said = by_id(page, "legend").text.split()
-        assert {f"{limit:.2f}" for limit in limits[score]} <= set(said)
+        assert f"faithful up to {limit}" in by_id(page, "legend").text
     choose(page, "colour", "quadrant")
     assert "structure lost" in by_id(page, "legend").text

@@ -44,7 +44,7 @@ def test_each_case_is_named_and_prescribes_nothing_wrong(real_data, case):
     text, allowed = CASES[case]
     assert any(text in line for line in [*checked.doubts, *checked.warnings, ""])
     assert bool(checked.doubts) == (case in FAILED) and not checked.faults
-    assert {cause.name for cause in checked.causes.causes} <= allowed
+    assert {cause.name for cause in checked.causes} <= allowed
 
 
 def test_a_run_leaves_out_rays_without_a_return_and_says_so_first(real_data, tmp_path):

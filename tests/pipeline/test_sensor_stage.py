@@ -5,8 +5,6 @@ import pandas as pd
 import pytest
 
 from fidpipe import evaluate_pair
-from fidpipe.pipeline.report.page.run_data import page_words
-from fidpipe.pipeline.report.run_frames import read_results
 from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.measures import Measures
 from fidpipe.schemas.sensor_models import SENSORS
@@ -51,13 +49,6 @@ def test_the_table_has_the_sensor_of_each_side_in_the_frame_of_its_own_file(fini
     assert (sim["lowest_deg"], sim["highest_deg"]) == pytest.approx((-30.67, 10.67), abs=0.02)
     assert real["origin_height_m"] == sim["origin_height_m"] == 0
     assert real["range_noise_m"] == pytest.approx(0.03, rel=0.15)
-
-
-def test_the_report_has_the_description_of_both_sensors(finished):
-    (sensors,) = page_words(read_results(finished))["sensors"]
-    assert [side for side, _ in sensors.sections] == ["real", "sim"]
-    assert "Velodyne VLP-16" in str(sensors.sections[0])
-    assert "Velodyne HDL-32E" in str(sensors.sections[1])
 
 
 def test_a_gate_tests_every_property_of_both_sensors(finished):

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fidpipe.pipeline.inspect import cause_checks, side_checks
+from fidpipe.pipeline.inspect import scan_checks, side_checks
 from fidpipe.pipeline.inspect.scan_checks import check_dataset
 from fidpipe.schemas.settings import load
 from fidpipe.stages.sensor_description import describe_sensor
@@ -21,7 +21,7 @@ NONE_NEARER = "input.min_range_m=0"
 @pytest.fixture(autouse=True)
 def without_beams(monkeypatch):
     """Random points have no beams, and to look for these takes longer than all other checks."""
-    monkeypatch.setattr(cause_checks, "MOST_PAIRS", 0)
+    monkeypatch.setattr(scan_checks, "MOST_PAIRS", 0)
     monkeypatch.setattr(
         side_checks, "describe_sensor", lambda points, *own: describe_sensor(points[:9], *own)
     )
@@ -111,18 +111,12 @@ def test_ego_hits_are_named_with_settings_that_drop_them(tmp_path, frame, turn):
         assert not [text for text in warnings(folder, *words, setting) if "ego vehicle" in text]
 
 
-def timed(i, change=lambda times: times, way=-1, seed=0):
+def timed(i, way=-1, seed=0):
     """A table of points that are measured one after the other as the sensor turns."""
     points = scan(i, seed)
     order = np.argsort(way * np.arctan2(points[:, 1], points[:, 0]))
     times = np.linspace(0, 0.1, len(points))
-    return pd.DataFrame(points[order], columns=list("xyz")).assign(time=change(times))
-
-
-def test_wrong_times_of_points_are_named_with_their_side(tmp_path):
-    wrong = [timed(i, np.zeros_like, seed=9) for i in range(3)]
-    (warning,) = warnings(write(tmp_path, [timed(i) for i in range(3)], wrong))
-    assert warning.startswith("simulated scans: ")
+    return pd.DataFrame(points[order], columns=list("xyz")).assign(time=times)
 
 
 def test_the_command_prints_notes_and_warnings_of_sides(tmp_path):

@@ -1,8 +1,10 @@
 """A run's folder: atomic tables, the lock, and orphaned files."""
 
+import errno
 import os
 from dataclasses import replace
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pyarrow as pa
@@ -12,7 +14,7 @@ from fidpipe.pipeline.storage.files import key_of, write_whole
 from fidpipe.pipeline.storage.folder import RunFolder
 from fidpipe.pipeline.storage.ledger import LEDGER
 from fidpipe.pipeline.storage.table_files import JobRecord
-from fidpipe.schemas.errors import RunError
+from fidpipe.schemas.errors import DiskFullError, RunError
 from fidpipe.schemas.tables import TABLES
 
 JOB = JobRecord("communities", "a", "real", "key", {}, ("read",), {"n": 1}, (("louvain", 0.5),))
@@ -36,8 +38,9 @@ def objects():
 
 
 def write(folder, record=JOB):
-    files = folder.write_job(record, {"communities": communities(), "objects": objects()})
-    return replace(record, files=files)
+    record = replace(record, files={})
+    folder.write_job(record, {"communities": communities(), "objects": objects()})
+    return record
 
 
 @pytest.fixture
@@ -89,13 +92,12 @@ def test_a_key_depends_on_every_part():
     assert key_of({"a": 1, "b": 2}) == key_of({"b": 2, "a": 1})
 
 
-def test_a_file_whose_writing_fails_leaves_the_one_before(tmp_path):
-    def refuse():
-        raise ValueError("no more")
-
+def test_a_file_whose_writing_fails_leaves_the_one_before(tmp_path, monkeypatch):
     write_whole(tmp_path / "file", b"old")
-    with pytest.raises(ValueError, match="no more"):
-        write_whole(tmp_path / "file", b"new", before_rename=refuse)
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    monkeypatch.setattr(os, "fsync", mock.Mock(side_effect=full))
+    with pytest.raises(DiskFullError, match="make room"):
+        write_whole(tmp_path / "file", b"new")
     assert (tmp_path / "file").read_bytes() == b"old"
     assert len(list(tmp_path.iterdir())) == 1
 

@@ -72,8 +72,10 @@ def drive(tmp_path_factory):
 
 def make(out, drive, *flaws, **options):
     """Make twins of the drive, with flaws as text."""
-    options = {"sensor": SMALL, **options}
-    return twin.make_twins(read_recording(drive), out, QUIET, flaws=parse_flaws(flaws), **options)
+    request = {"pattern": options.pop("pattern", None), "replace": options.pop("replace", False)}
+    request["workers"] = options.pop("workers", 1)
+    recipe = twin.TwinRecipe(**{"sensor": SMALL, "flaws": parse_flaws(flaws), **options})
+    return twin.make_twins(read_recording(drive), out, QUIET, recipe, **request)
 
 
 @pytest.fixture(scope="module")

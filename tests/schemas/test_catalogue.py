@@ -4,21 +4,15 @@ from pathlib import Path
 
 import pytest
 
+from fidpipe.schemas.data_files import read_rows
 from fidpipe.schemas.metric_catalogue import (
     BASELINE_NAMES,
-    BASELINES,
-    COVERAGE_SCORES,
-    INTENSITY_SCORES,
     METRIC,
     OBJECT_METRICS,
-    OBJECT_SCORES,
-    PAIR_SCORES,
-    PIECE_SCORES,
-    RAY_SCORES,
-    SURFACE_SCORES,
     metric_of,
     metrics_in,
     scores_in,
+    scores_of,
 )
 from fidpipe.schemas.settings import MetricsSettings, SelectionSettings
 from fidpipe.schemas.tables import TABLES
@@ -29,16 +23,13 @@ from scenes import box, subgraph
 
 
 def test_no_column_stands_in_the_catalogue_twice():
-    of_objects = (*OBJECT_SCORES, *PAIR_SCORES)
-    of_surfaces = (*COVERAGE_SCORES, *SURFACE_SCORES, *PIECE_SCORES)
-    assert len(METRIC) == len(
-        (*of_objects, *of_surfaces, *RAY_SCORES, *INTENSITY_SCORES, *BASELINES)
-    )
+    assert len(METRIC) == len(read_rows("metrics"))
 
 
 def test_every_score_of_an_object_is_a_column_with_its_meaning_and_unit():
-    for metric in OBJECT_SCORES:
-        field = TABLES["metrics"].schema.field(metric.column)
+    for name in scores_of("object"):
+        metric = METRIC[name]
+        field = TABLES["metrics"].schema.field(name)
         assert field.metadata[b"meaning"].decode() == metric.meaning
         assert field.metadata.get(b"unit", b"").decode() == (metric.unit or "")
 
@@ -65,7 +56,7 @@ def test_a_score_is_shown_in_known_places_and_without_a_position_last():
     places = {place for metric in METRIC.values() for place in metric.shown_in}
     docs = (Path(__file__).parents[2] / "docs" / "extending.md").read_text("utf-8")
     assert [place for place in places if f"`{place}`" not in docs] == []
-    assert set(scores_in("object")) == {metric.column for metric in OBJECT_SCORES}
+    assert set(scores_in("object")) == set(scores_of("object"))
     for place in places:
         positions = [metric.shown_in[place] for metric in metrics_in(place)]
         assert positions == list(range(1, len(positions) + 1)), place
@@ -89,7 +80,7 @@ def test_the_baselines_that_are_computed_are_those_of_the_catalogue_and_identica
         own.points, own.points, MetricsSettings(baselines=BASELINE_NAMES), nodes=chosen
     )
     assert [(each.name, each.unit) for each in found] == [
-        (metric.column, metric.unit) for metric in BASELINES if metric.method != "nvs"
+        (name, METRIC[name].unit) for name in scores_of("baseline") if METRIC[name].method != "nvs"
     ]
     for each in found:
         if each.value is not None:
@@ -99,8 +90,7 @@ def test_the_baselines_that_are_computed_are_those_of_the_catalogue_and_identica
 def test_identical_objects_have_the_value_of_the_catalogue_in_every_own_score(twice):
     own, chosen = twice
     scores = score_object(own, own, chosen)
-    for metric in OBJECT_SCORES:
-        if metric.equal is not None and hasattr(scores, metric.column):
-            assert getattr(scores, metric.column) == pytest.approx(metric.equal, abs=1e-9), (
-                metric.column
-            )
+    for name in scores_of("object"):
+        equal = METRIC[name].equal
+        if equal is not None and hasattr(scores, name):
+            assert getattr(scores, name) == pytest.approx(equal, abs=1e-9), name

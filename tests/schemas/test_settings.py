@@ -65,18 +65,3 @@ def test_a_wrong_file_is_named(tmp_path, text, fault):
 def test_the_preset_is_no_group_of_settings(preset):
     with pytest.raises(SettingsError, match="preset"):
         load(None, ["preset.x=1"], preset=preset)
-
-
-def test_the_mirror_is_the_frame_of_carla():
-    flipped, named = (
-        load(None, ["input.sim_flip_y=true"]).input,
-        load(None, ["input.sim_frame=carla"]).input,
-    )
-    assert flipped.frame_of("sim") == named.frame_of("sim") == "carla"
-    assert flipped.frame_of("real") == "ros"
-
-
-@pytest.mark.parametrize("frame", ["carla", "nuscenes", "kitti-cam"])
-def test_a_mirror_beside_a_frame_is_refused(frame):
-    with pytest.raises(SettingsError, match=f'"{frame}".*sim_flip_y'):
-        load(None, ["input.sim_flip_y=true", f"input.sim_frame={frame}"])

@@ -1,7 +1,6 @@
 """Baseline metrics by hand, and where they cannot be computed."""
 
 import math
-import sys
 
 import numpy as np
 import pytest
@@ -22,7 +21,6 @@ from fidpipe.stages.baselines import (
     f_score,
     hausdorff,
     histogram,
-    icp,
     nvs,
 )
 from fidpipe.stages.linalg.heat import heat_row_sums
@@ -68,23 +66,6 @@ def test_histograms_see_neither_place_nor_turn_nor_size(car):
     ) == pytest.approx(0, abs=1e-12)
 
 
-def test_icp_undoes_a_small_motion(car):
-    fitness, rmse_m = icp(car, moved(car - [5, 3, 0], rigid(3, [0.1, -0.05, 0.1])) + [5, 3, 0], ALL)
-    assert (fitness.value, fitness.reason, rmse_m.reason) == (1, None, None)
-    assert rmse_m.value == pytest.approx(0, abs=1e-5)
-
-
-def test_icp_fitness_is_the_share_of_simulated_points_that_are_near(car):
-    far = np.array([[5.0, 60, 0]]) + np.random.default_rng(0).normal(0, 1, (40, 3))
-    near = ALL.model_copy(update={"icp_distance_m": 0.5})
-    fitness, rmse_m = icp(car, np.vstack([car, far]), near)
-    assert fitness.value == pytest.approx(120 / 160)
-    assert rmse_m.value == pytest.approx(0, abs=1e-9)
-    fitness, rmse_m = icp(car, far, near)
-    assert (fitness.value, rmse_m.value) == (0, None)
-    assert "0.5 m" in rmse_m.reason
-
-
 def test_no_order_of_rows_changes_a_histogram_above_its_sample_or_dcd_at_ties(rng):
     real = rng.normal(0, 1, (400, 3))
     sim = np.round(rng.normal(0, 1, (500, 3)))
@@ -108,7 +89,7 @@ def test_a_shift_moves_the_distances_and_not_the_shapes(car):
     values = compare(car, car + [0, 0, 0.3])
     for name in ("emd_mean_m", "emd_kept_mean_m"):
         assert values[name].value == pytest.approx(0.3), name
-    for name in ("emd_centred_mean_m", "histogram", "icp_rmse_m"):
+    for name in ("emd_centred_mean_m", "histogram"):
         assert values[name].value == pytest.approx(0, abs=1e-5), name
     assert values["hausdorff_m"].value == pytest.approx(0.3, abs=0.15)
 
@@ -123,17 +104,10 @@ def test_what_cannot_be_computed_is_null_with_its_reason():
     two = np.array([[0.0, 0, 0], [0, 0, 1]])
     values = compare(two, two[:1])
     reasons = {name: baseline.reason for name, baseline in values.items() if baseline.value is None}
-    assert reasons.keys() == {"histogram", "icp_fitness", "icp_rmse_m"}
+    assert reasons.keys() == {"histogram"}
     assert all(reasons.values())
     single = compare(two[:1], two)
     assert single["dcd"].value is None and single["dcd"].reason
-
-
-def test_without_the_library_icp_is_null_with_its_reason(car, monkeypatch):
-    monkeypatch.setitem(sys.modules, "small_gicp", None)
-    values = compare_points(car, car, MetricsSettings(baselines=("icp",)))
-    assert [baseline.value for baseline in values] == [None, None]
-    assert all(baseline.reason.endswith('pip install "fidpipe[icp]"') for baseline in values)
 
 
 def earth_moved(real, sim, nodes, **settings):

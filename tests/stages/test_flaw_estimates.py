@@ -92,6 +92,14 @@ def during_sweep(points, rng):
     return points - turn[:, None] * [0.8, 0, 0]
 
 
+def turning(points, rng):
+    """The scan of a sensor that turns by one degree during the sweep, which its azimuths do not show."""
+    azimuth = np.arctan2(points[:, 1], points[:, 0])
+    turned = azimuth + np.radians(1.0) * azimuth / (2 * np.pi)
+    level = np.hypot(points[:, 0], points[:, 1])
+    return np.column_stack([level * np.cos(turned), level * np.sin(turned), points[:, 2]])
+
+
 def blind(points, rng):
     """The scan without returns in 60 degrees to the left."""
     azimuth_deg = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
@@ -122,6 +130,7 @@ FLAWS = {
     "range scale": (lambda points, rng: points * 1.02, 0.02),
     "range bias": (lambda points, rng: points * (1 + 0.15 / ranges(points)), 0.15),
     "motion forward": (during_sweep, -0.8),
+    "motion turning": (turning, 1.0),
     "range noise": (noise(0.08), 0.07),
     "elevation noise": (jittered(0.1, 0), None),
     "azimuth noise": (jittered(0, 0.03), 0.03),
@@ -130,6 +139,7 @@ FLAWS = {
     "lost far returns": (lost(0.5, 25.0), 0.5),
     "lost grazing returns": (lost_grazing, 0.5),
     "maximum range": (lambda points, rng: points[ranges(points)[:, 0] < 40], None),
+    "minimum range": (lambda points, rng: points[ranges(points)[:, 0] > 6.0], 2.0),
     "missing parts": (box_cut, None),
     "clutter": (drops(150), 0.01),
     "azimuth step": (lambda points, rng: points[::2], None),
@@ -158,7 +168,7 @@ def wobbling(points, rng):
     ]
 
 
-UNKNOWN = {own.__name__: own for own in (on_a_grid, bent, wobbling)}
+UNKNOWN = {flaw.__name__: flaw for flaw in (on_a_grid, bent)}
 ALWAYS = [
     "forward",
     "motion forward",
@@ -236,6 +246,23 @@ def test_a_flaw_is_named_with_its_amount_and_its_correction_gains(places, health
     assert found.before_m == own.distance_m
 
 
+def test_a_minimum_range_is_neither_beams_nor_missing_parts(places):
+    estimates = [estimate(pair) for pair in simulated(places, FLAWS["minimum range"][0])]
+    assert [cause.name for cause in named_causes(values_of(estimates), np.arange(2))] == [
+        "minimum range"
+    ]
+
+
+def test_lowest_beams_that_are_dead_are_no_minimum_range(places):
+    def without_lowest(points, rng):
+        return points[describe_sensor(points).beam_of(points) >= 7]
+
+    estimates = [estimate(pair) for pair in simulated(places, without_lowest)]
+    named = named_causes(values_of(estimates), np.arange(2))
+    assert [cause.name for cause in named] == ["beams"]
+    assert named[0].estimate == pytest.approx(-7, abs=1)
+
+
 @pytest.mark.parametrize("name", some_of([*UNKNOWN], ["on_a_grid"]))
 def test_a_flaw_without_a_cause_is_unexplained(places, name):
     pair = simulated(places[:1], UNKNOWN[name])[0]
@@ -249,6 +276,13 @@ def test_a_flaw_without_a_cause_is_unexplained(places, name):
     made = corrections(pair, own.pose, amounts, named, rng)
     found = shares(pair, made, own.pose.displacement.seam_deg, rng, own.best_case_m)
     assert found.after_m - own.best_case_m > 0.6 * (found.before_m - own.best_case_m) > 0
+    assert off_share(pair.real.points, pair.sim.points) > 0.05
+
+
+def test_wobbling_beams_leave_flat_surface_elsewhere_at_the_distance_of_other_rays(places):
+    pair = simulated(places[:1], wobbling)[0]
+    estimates = estimate(pair)
+    assert estimates.distance_m < estimates.best_case_m
     assert off_share(pair.real.points, pair.sim.points) > 0.05
 
 
@@ -287,7 +321,7 @@ def test_a_road_that_is_too_high_is_not_a_scale_of_the_elevations():
 
 def test_a_displacement_is_undone(places):
     points, is_ground, _ = places[0]
-    values = np.array([0.1, -0.2, 0.05, 0.3, -0.4, 0.5, 0.01, 0.02, -0.3, 0.1, 0.05])
+    values = np.array([0.1, -0.2, 0.05, 0.3, -0.4, 0.5, 0.01, 0.02, -0.3, 0.1, 0.6, 0.05])
     displacement = Displacement(values)
     moved = points + displacement.of(points, is_ground)
     off_m = np.abs(displacement.undo(moved, is_ground) - points).max(axis=1)
@@ -365,3 +399,14 @@ def test_scans_without_common_surface_have_no_estimates(places):
     far = points + [0, 0, 500.0]
     assert fit_displacement(cKDTree(points), cKDTree(far), is_ground) is None
     assert estimate(PairScans(*(Side(own, is_ground, sensor) for own in (points, far)))) is None
+
+
+def test_a_tilt_that_blurs_recognised_beams_leaves_their_noise_unknown(places):
+    pair = simulated(places[:1])[0]
+    angle = np.radians(1.5)
+    turn = np.array(
+        [[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]]
+    )
+    tilted = replace(pair.sim, points=pair.sim.points @ turn.T)  # with the beams as without
+    noise = estimate(PairScans(pair.real, tilted)).amounts["elevation noise"]
+    assert noise.reason == "simulated scan: tilted by 1.5 degrees, which blurs its beams"

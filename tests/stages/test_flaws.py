@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from fidpipe.stages.generate.flaws import FLAWS, Perturbation, is_foliage, perturb
-from fidpipe.stages.generate.perturbations import fill_gaps, remeasure
+from fidpipe.stages.generate.second_measurement import fill_gaps, remeasure
 from fidpipe.stages.surfels import fit_planes
 from scenes import box, road, seeded
 from wrong_beams import misalign_beams

@@ -9,14 +9,14 @@ import pytest
 from fidpipe.schemas.settings import FRAME_AXES, InputSettings
 from fidpipe.stages.clean import as_ros
 from fidpipe.stages.frame_search import FrameCheck, check_frames, ground_height
-from fidpipe.stages.generate.perturbations import add_noise, drop_points
+from fidpipe.stages.generate.flaws import add_noise, drop_points
 from fidpipe.stages.inspect.sequence_checks import (
     SequenceScan,
     find_ego_hits,
-    find_empty_side,
-    find_static_side,
     find_time_offset,
     is_moving,
+    is_nearly_empty,
+    is_static,
     moved_m,
 )
 from scenes import box, moved, rigid, road, street
@@ -142,8 +142,8 @@ def test_a_small_rotation_with_a_shift_is_not_named():
 
 
 def test_a_mirror_that_is_set_and_should_not_be_is_named():
-    found = check(scene(), again(scene()), sim_flip_y=True)
-    assert (found.reading, found.setting) == ("mirrored in y", "input.sim_flip_y=false")
+    found = check(scene(), again(scene()), sim_frame="carla")
+    assert (found.reading, found.setting) == ("mirrored in y", "input.sim_frame=ros")
 
 
 def test_a_motion_that_is_set_is_kept_in_the_setting_that_mends():
@@ -275,28 +275,19 @@ def test_a_side_that_is_one_scan_again_and_again_is_static(sides, noise_m):
     still = moved_m([places(drive(step_m=0.0, noise_m=noise_m))])
     moving = moved_m([sides[0]])
     assert is_moving(moving) and not is_moving(still)
-    assert find_static_side(moving, still) == "sim"
-    assert find_static_side(still, moving) == "real"
-    assert find_static_side(moving, moving) is find_static_side(still, still) is None
+    assert is_static(still, moving)
+    assert not (is_static(moving, still) or is_static(moving, moving) or is_static(still, still))
 
 
 def test_a_slow_side_is_not_static(sides):
     slow, fast = moved_m([places(drive(step_m=0.3))]), moved_m([sides[0]])
-    assert find_static_side(slow, fast) is None
+    assert not is_static(slow, fast)
 
 
 def test_a_side_with_a_twentieth_of_the_points_is_nearly_empty():
-    many = np.array([10_000, 10_000, 10_000])
-    few = np.array([400, 400, 400])
-    half = np.array([5_000, 5_000, 5_000])
-    assert (find_empty_side(many, few), find_empty_side(few, many)) == ("sim", "real")
-    assert find_empty_side(many, 0 * many) == "sim"
-    assert (
-        find_empty_side(many, half)
-        is find_empty_side(many, few[:0])
-        is find_empty_side(0 * many, 0 * many)
-        is None
-    )
+    assert is_nearly_empty(400, 10_000) and is_nearly_empty(0, 10_000)
+    assert not (is_nearly_empty(10_000, 400) or is_nearly_empty(5_000, 10_000))
+    assert not (is_nearly_empty(np.nan, 10_000) or is_nearly_empty(0, 0))
 
 
 BONNET = ([1.8, 0, -0.9], [1.5, 1.6, 0.3])
@@ -333,7 +324,7 @@ def test_too_few_points_compare_as_nothing():
     few = places([np.empty((0, 3)), np.ones((5, 3))])
     assert np.isnan(moved_m([few])) and np.isnan(few[0].misfit_m(few[1]))
     assert find_time_offset([(few * 3, few * 3)]) is None
-    assert find_static_side(float("nan"), 0.5) is None
+    assert not is_static(float("nan"), 0.5)
 
 
 def test_another_size_is_another_frame_also_if_the_ground_is_lifted():

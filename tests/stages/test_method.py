@@ -44,7 +44,7 @@ def scans():
         [
             "ground.shared=true",
             "ground.loss=total",
-            "input.sim_flip_y=true",
+            "input.sim_frame=carla",
             "matching.method=optimal",
         ],
         ["communities.objects=reference", "graph.ties=coordinates", "communities.reach_m=0.4"],

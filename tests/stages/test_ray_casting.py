@@ -230,16 +230,16 @@ def test_the_map_grows_with_the_surface_and_not_with_the_scans():
         voxels = extended(
             voxels, points + seeded(seed).uniform(-0.02, 0.02, (len(points), 3)) * [1, 1, 0]
         )
-        sizes.append(len(voxels.points))
+        sizes.append(len(voxels))
     assert sizes[-1] < 1.05 * sizes[0]
-    assert voxels.n_points.sum() == 4 * len(points)
-    np.testing.assert_allclose(voxels.points[:, 2], -1.7)
+    assert voxels[:, 4].sum() == 4 * len(points)
+    np.testing.assert_allclose(voxels[:, 2], -1.7)
 
 
 def test_voxels_are_wider_farther_away():
     near = plane((1, 0, 0), 6.0, half_m=3.0, step_m=0.05)[0]
     far = plane((1, 0, 0), 50.0, half_m=3.0, step_m=0.05)[0]
-    sizes = [len(extended(EMPTY_MAP, points).points) for points in (near, far)]
+    sizes = [len(extended(EMPTY_MAP, points)) for points in (near, far)]
     assert sizes[0] / sizes[1] == pytest.approx(16, rel=0.2)
 
 

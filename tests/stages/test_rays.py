@@ -6,7 +6,7 @@ import pytest
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.stages.generate.ray_casting import fire
 from fidpipe.stages.intensity import explained_share, intensity_law, score_intensity
-from fidpipe.stages.rays import OUTCOMES, Rays, compare_rays, find_rays, score_rays
+from fidpipe.stages.rays import OUTCOMES, Rays, find_rays, score_rays
 from fidpipe.stages.sensor_description import SensorDescription, describe_sensor
 
 STEP_DEG = 0.4
@@ -39,7 +39,7 @@ def counts(rays):
 
 def test_a_scan_against_itself_is_the_same_on_all_rays():
     scan = room()
-    rays = compare_rays(scan, scan, grid(), grid())
+    rays = find_rays(scan, scan, (grid(), grid()))
     assert counts(rays) == dict.fromkeys(OUTCOMES, 0) | {"same": len(scan)}
     assert (rays.real_row == rays.sim_row).all()
     scores = score_rays(rays)
@@ -51,7 +51,7 @@ def test_a_scan_against_itself_is_the_same_on_all_rays():
 def test_no_two_rays_share_a_cell_and_rays_without_any_return_are_listed():
     scan = room()
     seen = scan[scan[:, 0] > 0]
-    rays = compare_rays(seen, seen, grid(), grid())
+    rays = find_rays(seen, seen, (grid(), grid()))
     cells = set(zip(rays.beam.tolist(), rays.column.tolist(), strict=True))
     assert len(cells) == len(rays.beam) == len(scan)
     assert counts(rays)["none"] == len(scan) - len(seen)
@@ -63,17 +63,17 @@ def test_lost_returns_of_either_side_are_counted_one_by_one(name):
     scan = room(name)
     is_kept = np.random.default_rng(0).random(len(scan)) > 0.2
     n_lost = int((~is_kept).sum())
-    lost = counts(compare_rays(scan, scan[is_kept], grid(name), grid(name)))
+    lost = counts(find_rays(scan, scan[is_kept], (grid(name), grid(name))))
     assert lost["dropped"] + lost["no_surface"] == pytest.approx(n_lost, rel=0.02)
     assert lost["same"] == len(scan) - n_lost
-    invented = counts(compare_rays(scan[is_kept], scan, grid(name), grid(name)))
+    invented = counts(find_rays(scan[is_kept], scan, (grid(name), grid(name))))
     assert invented["sim_only"] == pytest.approx(n_lost, rel=0.02)
 
 
 def test_a_lost_return_is_dropped_next_to_simulated_surface_and_else_on_no_surface():
     scan = room()
     ahead = scan[:, 0] > 20  # a wall that the simulation lacks
-    outcome = counts(compare_rays(scan, scan[~ahead], grid(), grid()))
+    outcome = counts(find_rays(scan, scan[~ahead], (grid(), grid())))
     assert outcome["no_surface"] > 0.8 * ahead.sum()
     assert outcome["no_surface"] + outcome["dropped"] == ahead.sum()
 
@@ -83,7 +83,7 @@ def test_bias_and_scale_of_the_range_are_found(factor, added_m):
     scan = room()
     range_m = np.linalg.norm(scan, axis=1)[:, None]
     noisy = scan * (1 + np.random.default_rng(0).normal(0, 0.02, range_m.shape) / range_m)
-    scores = score_rays(compare_rays(scan, noisy * (factor + added_m / range_m), grid(), grid()))
+    scores = score_rays(find_rays(scan, noisy * (factor + added_m / range_m), (grid(), grid())))
     if added_m:
         assert scores["rays_bias_low_m"] <= added_m <= scores["rays_bias_high_m"]
         assert scores["rays_bias_m"] == pytest.approx(added_m, rel=0.05)
@@ -93,9 +93,8 @@ def test_bias_and_scale_of_the_range_are_found(factor, added_m):
 
 def test_columns_that_lie_between_those_of_the_real_sensor_change_no_range_of_a_plane():
     inside = np.array([[-18.0, -12.0, -100.0], [31.0, 9.0, 100.0]])  # walls alone
-    rays = compare_rays(
-        room(corners_m=inside), room(corners_m=inside, turned_deg=0.15), grid(), grid()
-    )
+    turned = room(corners_m=inside, turned_deg=0.15)
+    rays = find_rays(room(corners_m=inside), turned, (grid(), grid()))
     both = np.isfinite(rays.real_range_m) & np.isfinite(rays.sim_range_m)
     assert both.mean() > 0.99
     assert np.quantile(np.abs(rays.sim_range_m - rays.real_range_m)[both], 0.95) < 1e-6
@@ -103,7 +102,7 @@ def test_columns_that_lie_between_those_of_the_real_sensor_change_no_range_of_a_
 
 @pytest.mark.parametrize("step_deg", [0.2, 0.36])
 def test_returns_of_a_finer_grid_are_no_rays_of_their_own(step_deg):
-    outcome = counts(compare_rays(room(), room(step_deg=step_deg), grid(), grid(step_deg=step_deg)))
+    outcome = counts(find_rays(room(), room(step_deg=step_deg), (grid(), grid(step_deg=step_deg))))
     n = len(room())
     assert outcome["sim_only"] < 0.02 * n
     assert outcome["same"] > 0.95 * n
@@ -112,13 +111,13 @@ def test_returns_of_a_finer_grid_are_no_rays_of_their_own(step_deg):
 def test_a_nearer_and_a_farther_wall_are_in_front_and_behind():
     near = CORNERS_M * [1, 0.9, 1]
     far = CORNERS_M * [1, 1.2, 1]
-    assert counts(compare_rays(room(), room(corners_m=near), grid(), grid()))["in_front"] > 100
-    assert counts(compare_rays(room(), room(corners_m=far), grid(), grid()))["behind"] > 100
+    assert counts(find_rays(room(), room(corners_m=near), (grid(), grid())))["in_front"] > 100
+    assert counts(find_rays(room(), room(corners_m=far), (grid(), grid())))["behind"] > 100
 
 
 def test_incidence_is_the_angle_to_the_wall():
     scan = room()
-    rays = compare_rays(scan, scan, grid(), grid())
+    rays = find_rays(scan, scan, (grid(), grid()))
     hit = scan[rays.real_row]
     ahead = np.isclose(hit[:, 0], 31.0) & (np.abs(hit[:, 1]) < 5) & (np.abs(hit[:, 2]) < 1)
     truth = np.degrees(np.arccos(hit[ahead, 0] / np.linalg.norm(hit[ahead], axis=1)))
@@ -212,7 +211,7 @@ def material(scan):
 
 
 def scores(scan, real, sim, *, moved=0.0, **options):
-    rays = compare_rays(scan, scan + moved, grid(), grid())
+    rays = find_rays(scan, scan + moved, (grid(), grid()))
     classes = np.where(rays.real_row >= 0, (scan[rays.real_row, 0] > 0).astype(int), -1)
     return score_intensity(rays, [real, sim], classes, **options)
 

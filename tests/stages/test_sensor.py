@@ -1,4 +1,4 @@
-"""Sensors, time stamps and plausibility of scans of a room and of a turn that are known."""
+"""Sensors and plausibility of scans of a room that is known."""
 
 from dataclasses import replace
 
@@ -9,7 +9,6 @@ from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import InputSettings
 from fidpipe.stages.beam_patterns import BeamPattern, find_beams, recognise
 from fidpipe.stages.generate.ray_casting import fire, measure_ranges
-from fidpipe.stages.inspect.stamps import check_stamps
 from fidpipe.stages.plausibility import implausible, inspect_points, widest_azimuth_gap_deg
 from fidpipe.stages.sensor_description import beams_text, describe_sensor, sensor_lines
 from runs import some_of
@@ -284,88 +283,6 @@ def test_rings_that_lie_upon_each_other_are_no_beams(rng):
     angle = np.linspace(0, 2 * np.pi, 2000)
     flat = 10 * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(2000)])
     assert describe_sensor(flat, rng.integers(0, 32, 2000).astype(np.int32)).model is None
-
-
-TURN_S = 0.1
-
-
-def turn(n=6000, way=-1):
-    """Points and times of one turn, 16 beams, clockwise as a Velodyne goes."""
-    share = np.arange(n) / n
-    azimuth = way * 2 * np.pi * share + 1.0
-    points = np.column_stack([20 * np.cos(azimuth), 20 * np.sin(azimuth), np.arange(n) % 16 - 8.0])
-    return points, TURN_S * share
-
-
-def faults(times, points=None):
-    return check_stamps(times, turn()[0] if points is None else points)[1]
-
-
-def test_a_turn_whose_times_are_right_has_no_fault():
-    points, times = turn()
-    assert check_stamps(times, points) == (pytest.approx(TURN_S, rel=1e-3), [])
-    assert faults(times, points * [1, -1, 1]) == []
-
-
-@pytest.mark.parametrize("wrong", [np.nan, 0.0])
-def test_half_as_many_times_as_points_are_seen(wrong):
-    _, times = turn()
-    times[::2] = wrong
-    (fault,) = faults(times)
-    assert fault.startswith("50% of the points ")
-
-
-def test_fewer_times_than_points_are_counted():
-    (fault,) = faults(turn()[1][:3000])
-    assert "6000" in fault and "3000" in fault
-
-
-def test_one_time_for_all_points_is_named():
-    (fault,) = faults(np.full(6000, 1.7e9))
-    assert "one time" in fault
-
-
-def test_points_without_a_return_need_no_time():
-    points, times = turn()
-    points[::2], times[::2] = 0.0, 0.0
-    points[1::4], times[1::4] = np.nan, np.nan
-    assert faults(times, points) == []
-
-
-@pytest.mark.parametrize(
-    ("scale", "unit"),
-    [(1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds"), (1e-6, "seconds")],
-)
-def test_another_unit_is_named(scale, unit):
-    (fault,) = faults(scale * turn()[1])
-    assert f"are they in {unit}" in fault
-
-
-@pytest.mark.parametrize(
-    "shuffle",
-    [
-        lambda times: np.random.default_rng(0).permutation(times),
-        lambda times: np.sort(times.reshape(-1, 16).T.ravel()),
-    ],
-    ids=["anyhow", "by row of a file that is sorted by beam"],
-)
-def test_times_of_other_points_do_not_go_round(shuffle):
-    points, times = turn()
-    points = (
-        points.reshape(-1, 16, 3).swapaxes(0, 1).reshape(-1, 3)
-    )  # beam by beam, as organised clouds are
-    right = times.reshape(-1, 16).T.ravel()
-    assert faults(right, points) == []
-    (fault,) = faults(shuffle(right), points)
-    assert "azimuth" in fault
-
-
-def test_few_and_no_returns_are_not_judged():
-    assert faults(np.empty(0), np.empty((0, 3))) == []
-    assert faults(np.linspace(0, 0.1, 100), turn()[0][:100]) == []
-    ahead = turn()[0]
-    ahead = np.abs(ahead) * [1, 1, 1]  # a quarter of a turn: no spinning sensor's
-    assert faults(np.random.default_rng(0).permutation(turn()[1]), ahead) == []
 
 
 def test_plausible_scans_raise_no_warning():

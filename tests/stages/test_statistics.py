@@ -16,7 +16,6 @@ from fidpipe.stages.statistics.comparison import (
     mean_interval,
     paired_difference,
 )
-from fidpipe.stages.statistics.findings import distribution
 from fidpipe.stages.statistics.neighbours import SAME_PLACE, map_place, neighbours, overlap
 from fidpipe.stages.statistics.spread import spread
 from fidpipe.stages.statistics.validation import double_validation_metric
@@ -200,12 +199,6 @@ def test_the_same_values_are_no_distance_apart_and_nulls_are_left_out(rng):
     assert (exact.bias, exact.area) == (0, 0)
     nothing = double_validation_metric(values, np.full(3, np.nan))
     assert (nothing.bias, nothing.area) == (None, None)
-
-
-def test_a_distribution_by_hand():
-    found = distribution(np.array([0.0, 0.01, 0.02, 1.0, np.nan]))
-    assert (found.n, found.min, found.max) == (4, 0.0, 1.0)
-    assert found.cv == pytest.approx(np.std([0, 0.01, 0.02, 1], ddof=1) / 0.2575)
 
 
 def town(seed):

@@ -30,16 +30,14 @@ def corridor():
 def compare(real, sim):
     """The test of both sides by all features, and the AUC of each feature alone."""
     rows = np.arange(0, len(real), 10)
-    (real_features, names), (sim_features, _) = [
-        describe_points(side, side[:, 2] + 1.7, rows) for side in (real, sim)
-    ]
-    features = np.vstack([real_features, sim_features])
+    both = [describe_points(side, side[:, 2] + 1.7, rows) for side in (real, sim)]
+    features = np.vstack([np.column_stack([*side.values()]) for side in both])
     azimuth_deg = np.concatenate(
         [np.degrees(np.arctan2(side[rows, 1], side[rows, 0])) for side in (real, sim)]
     )
     is_sim = np.repeat([False, True], len(rows))
     splits = folds(np.zeros(len(is_sim), dtype=np.int32), azimuth_deg, is_sim)
-    alone = {name: separate(features[:, [i]], is_sim, splits).auc for i, name in enumerate(names)}
+    alone = {name: separate(features[:, [i]], is_sim, splits).auc for i, name in enumerate(both[0])}
     return separate(features, is_sim, splits), alone
 
 

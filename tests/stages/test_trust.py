@@ -25,6 +25,7 @@ from fidpipe.stages.frame_search import check_frames
 from fidpipe.stages.generate.street_scans import make_pair
 from fidpipe.stages.plausibility import implausible
 from fidpipe.stages.sensor_description import describe_sensor
+from fidpipe.stages.sweep import Sweep
 from fidpipe.stages.trust import (
     BEAMS,
     ENOUGH,
@@ -208,8 +209,10 @@ def test_ranges_of_two_sweeps_of_a_moving_sensor_alternate():
     rng = np.random.default_rng(0)
     range_m = 20 + 3 * np.sin(np.arange(2000) / 300) + rng.normal(0, 0.02, 2000)
     beam = np.repeat([0, 1], 1000)
-    assert alternation_text(beam, range_m) is None
-    assert "ranges of a beam alternate" in alternation_text(beam, range_m + np.tile([0, 0.5], 1000))
+    sweep = Sweep(beam, np.zeros(2000), np.zeros(2000), range_m, beam)
+    assert alternation_text(sweep) is None
+    moving = replace(sweep, range_m=range_m + np.tile([0, 0.5], 1000))
+    assert "ranges of a beam alternate" in alternation_text(moving)
 
 
 def test_a_simulated_side_without_road_has_no_dead_beams(scan):

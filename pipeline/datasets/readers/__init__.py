@@ -75,7 +75,7 @@ def read_scan(
         raise ScanError(f"{ref}: unknown format; known are {', '.join(known_formats())}")
     if (ref.topic or ref.frame) and not known.holds_frames:
         raise ScanError(f"{ref}: a {ref.suffix} file holds one scan; it is named without #")
-    if known.holds_frames and ref.is_remote:
+    if known.holds_frames and ref.stubs:
         raise ScanError(f"{ref}: recordings are not read by URL; copy it to a local folder")
     with _local(ref) as file, _reader(ref) as reader:
         if file.stat().st_size == 0:
@@ -86,18 +86,18 @@ def read_scan(
             reader.check_width(file, known.columns)
         if not len(scan.points):
             raise ScanError(f"{ref}: the file has no points")
-        labelled = with_label_file(scan, replace(ref, file=file, is_remote=False))
+        labelled = with_label_file(scan, replace(ref, file=file, stubs=()))
     has_names = labelled is not scan or not known.columns
     return with_label_names(labelled, label_names if label_names and has_names else {})
 
 
 def _local(ref: ScanRef) -> AbstractContextManager[Path]:
     """The file of a scan on this machine next to its labels: itself, or a copy of the object that a stub names."""
-    if not ref.is_remote:
+    if not ref.stubs:
         return nullcontext(ref.file)
     from ...storage.remote_dataset import fetched_scan
 
-    return fetched_scan(ref.file, ref.labels)
+    return fetched_scan(ref.stubs)
 
 
 @contextmanager

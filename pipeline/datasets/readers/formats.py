@@ -10,8 +10,6 @@ from functools import cache
 from importlib.metadata import entry_points
 from typing import NamedTuple
 
-from ....schemas.errors import DatasetError
-
 _KITTI = ("x", "y", "z", "intensity")
 _NUSCENES = (*_KITTI, "ring")
 
@@ -65,28 +63,10 @@ FORMATS = {
 }
 
 
-def known_formats() -> dict[str, Format]:
-    """The table of readers: ours, and those of other packages that are installed.
-
-    Raises
-    ------
-    DatasetError
-        Two of them read files of one suffix.
-    """
-    return FORMATS | _other_formats()
-
-
 @cache
-def _other_formats() -> dict[str, Format]:
-    """Readers that other packages declare in the group `fidpipe.readers`, by suffix."""
-    others: dict[str, Format] = {}
+def known_formats() -> dict[str, Format]:
+    """Readers by suffix: ours, and those that other packages declare in the group `fidpipe.readers`."""
+    others = {}
     for entry in entry_points(group="fidpipe.readers"):
-        suffix = f".{entry.name.lower()}"
-        first = others.get(suffix) or FORMATS.get(suffix)
-        if first is not None:
-            raise DatasetError(
-                f"two readers of {suffix} files are installed, {first.module.strip('.')} and "
-                f"{entry.value}; uninstall the package of {entry.value}"
-            )
-        others[suffix] = Format(entry.value, may_crash=True)
-    return others
+        others[f".{entry.name.lower()}"] = Format(entry.value, may_crash=True)
+    return others | FORMATS

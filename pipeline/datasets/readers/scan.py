@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from ....schemas.data_files import read_data
 from ....schemas.errors import ScanError
-from ....stages.arrays import FloatArray, IntArray
+from ....stages.arrays import FloatArray, IntArray, slopes_deg
 from .scan_ref import ScanRef
 
-# Names of each column in lower case, ours first. Names of others: CARLA's I, CosAngle, ObjTag, ObjIdx; Ouster's t;
+# Names of each column in lower case, ours first. Names of others: CARLA's I, ObjTag, ObjIdx; Ouster's t;
 # Hesai's timestamp; Livox' offset_time, line and Reflectivity; openpylivox' Inten-sity; Autoware's channel and
 # time_stamp; Argoverse's laser_number and offset_ns; VeloView's Points_m_XYZ:0 and laser_id.
 _NAMES = {
@@ -27,7 +27,6 @@ _NAMES = {
     "intensity": ("intensity", "scalar_intensity", "i", "inten-sity", "reflectivity"),
     "label": ("label", "scalar_label", "objtag"),
     "instance": ("instance", "scalar_instance", "objidx"),
-    "incidence": ("incidence", "scalar_incidence", "cosangle"),
     "ring": ("ring", "scalar_ring", "channel", "laser_number", "laser_id", "line"),
     "time": (
         "time",
@@ -62,7 +61,6 @@ class Scan:
     intensity : (n,) float64, or None
     labels : (n,) str, or None
     instances : (n,) int32, number of the thing that a point belongs to, 0 for none; or None
-    incidence : (n,) float64, cosine of the angle between ray and surface normal, or None
     rings : (n,) int32, number of the beam, or None; -1 where it is NaN
     times_s : (n,) float64, seconds, from where the file counts them; or None
     label_names : what the format calls the labels that are numbers; {} where it names none
@@ -73,14 +71,13 @@ class Scan:
     intensity: FloatArray | None = None
     labels: NDArray[np.str_] | None = None
     instances: IntArray | None = None
-    incidence: FloatArray | None = None
     rings: IntArray | None = None
     times_s: FloatArray | None = None
     label_names: Mapping[int, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
-        optional = ("intensity", "labels", "instances", "incidence", "rings", "times_s")
+        optional = ("intensity", "labels", "instances", "rings", "times_s")
         others = "".join(f", {name}" for name in optional if getattr(self, name) is not None)
         return f"<scan of {len(self.points)} points{others}>"
 
@@ -137,7 +134,6 @@ def scan_from_columns(
         intensity=numbers.get("intensity"),
         labels=_label_text(path, by_name["label"]) if "label" in by_name else None,
         instances=_instance_numbers(numbers.get("instance")),
-        incidence=numbers.get("incidence"),
         rings=rings,
         times_s=times_s,
         label_names=label_names or {},
@@ -182,9 +178,7 @@ def cause_of(error: object) -> str:
 
 
 def with_label_file(scan: Scan, ref: ScanRef) -> Scan:
-    """The scan with the labels of the `.label` file next to it, if any: uint32 per point.
-
-    The low 16 bits are the class, the high 16 bits the instance, 0 for none (SemanticKITTI).
+    """The scan with the labels of the `.label` file next to it, if any: class and instance, 0 for none.
 
     Raises
     ------
@@ -194,19 +188,28 @@ def with_label_file(scan: Scan, ref: ScanRef) -> Scan:
     path = ref.labels
     if not path.exists():
         return scan
+    classes, instances = read_label_file(path, len(scan.points))
+    if scan.instances is not None and not instances.any():
+        instances = scan.instances
+    return replace(scan, labels=_label_text(path, classes), instances=instances, label_names={})
+
+
+def read_label_file(path: Path, n_points: int) -> tuple[IntArray, IntArray]:
+    """Class and instance of each point, (n,) int32: low and high 16 bits of uint32, as in SemanticKITTI.
+
+    Raises
+    ------
+    ScanError
+        The numbers of labels and points differ.
+    """
     n_bytes = path.stat().st_size
-    n_points = len(scan.points)
     if n_bytes != 4 * n_points:
         raise ScanError(
             f"{path}: expected {4 * n_points} bytes (one uint32 for each of the {n_points} points "
-            f"of {ref.file.name}), got {n_bytes}"
+            f"of the scan file), got {n_bytes}"
         )
     numbers = np.fromfile(path, dtype="<u4")
-    instances = (numbers >> 16).astype(np.int32)
-    if scan.instances is not None and not instances.any():
-        instances = scan.instances
-    labels = _label_text(path, numbers & 0xFFFF)
-    return replace(scan, labels=labels, instances=instances, label_names={})
+    return (numbers & 0xFFFF).astype(np.int32), (numbers >> 16).astype(np.int32)
 
 
 def with_label_names(scan: Scan, names: Mapping[int, str]) -> Scan:
@@ -223,7 +226,7 @@ def with_label_names(scan: Scan, names: Mapping[int, str]) -> Scan:
 
 def _are_rings(points: FloatArray, numbers: IntArray) -> bool:
     """True if the points of a number have one elevation; those of Livox' patterns that do not repeat have all."""
-    elevation_deg = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
+    elevation_deg = slopes_deg(points)
     is_return = np.isfinite(elevation_deg) & points.any(axis=1)
     spreads_deg = []
     for number in np.unique(numbers[is_return]):

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ....schemas.errors import ScanError
-from ...storage.urls import STUB, is_stub
+from ...storage.urls import STUB, stub_text
 from .formats import Format, known_formats
 
 _NUMBER = re.compile(r"\d+(\.\d+)?")
@@ -29,7 +29,7 @@ class ScanRef:
     suffix : the known suffix in lower case; "" if the format is not known
     topic : of a bag; None for the only one with point clouds
     frame : number or time in seconds, as written; None for the only one
-    is_remote : True if the file is a stub, which names an object
+    stubs : of a remote scan, the text of its stub, and of that of its labels if there are any
     """
 
     file: Path
@@ -37,7 +37,7 @@ class ScanRef:
     format: Format = _UNKNOWN
     topic: str | None = None
     frame: str | None = None
-    is_remote: bool = False
+    stubs: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         address = "@".join(filter(None, (self.topic, self.frame)))
@@ -46,7 +46,7 @@ class ScanRef:
     @property
     def stem(self) -> str:
         """The file name without its known suffix, by which scans are paired; of a frame with topic and frame."""
-        name = self.file.stem if self.is_remote else self.file.name
+        name = self.file.stem if self.stubs else self.file.name
         if not self.suffix.startswith("/"):
             name = name[: len(name) - len(self.suffix)]
         topics = (self.topic or "").split("/")
@@ -55,7 +55,7 @@ class ScanRef:
     @property
     def labels(self) -> Path:
         """Path of the labels next to the file; they may not exist."""
-        return self.file.with_name(f"{self.stem}.label{STUB if self.is_remote else ''}")
+        return self.file.with_name(f"{self.stem}.label{STUB if self.stubs else ''}")
 
     @property
     def files(self) -> list[Path]:
@@ -115,10 +115,15 @@ def scan_ref(source: ScanRef | Path | str) -> ScanRef:
 
 def _file_ref(file: Path) -> ScanRef:
     known = known_formats()
-    is_remote = is_stub(file)
-    name = file.stem if is_remote else file.name
+    stub = stub_text(file)
+    name = file.stem if stub else file.name
     suffix = _suffix_of(file, name.lower(), known)
-    return ScanRef(file, suffix, known.get(suffix, _UNKNOWN), is_remote=is_remote)
+    scan = ScanRef(file, suffix, known.get(suffix, _UNKNOWN))
+    if not stub:
+        return scan
+    scan = replace(scan, stubs=(stub,))
+    labels = stub_text(scan.labels)
+    return replace(scan, stubs=(stub, labels)) if labels else scan
 
 
 def _suffix_of(file: Path, name: str, known: dict[str, Format]) -> str:

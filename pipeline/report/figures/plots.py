@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
@@ -16,11 +15,12 @@ from ....schemas.errors import RunError
 from ....schemas.metric_catalogue import METRIC, QUADRANT_SCORES
 from ...results.finished import FinishedRun, pair_object
 from ..look import FATE_WORDS, OUTCOME_COLOURS, OUTCOME_WORDS, SIDE_COLOURS
-from ..run_frames import box_around, coordinates, inside, points_of
+from ..run_frames import coordinates, inside, points_of
 from ..view import count, number, percent
 from . import style
 
 _OTHERS = "#bbbbbb"
+_PAD_M = 0.3  #: around an object
 _MOST_NUMBERS = 10  #: pieces of a side with a number
 _PIECE_WORDS = {"real": "missing", "sim": "invented"}
 
@@ -45,7 +45,9 @@ def plot_object(run: FinishedRun, pair_id: str, name: str, ax: Any = None) -> Fi
         is_member = points["community_id"].isin([row["community_id"]] if row else [])
         members[side] = coordinates(points[is_member])
         others.append(coordinates(points[~is_member]))
-    low, high = box_around(np.concatenate(list(members.values())))
+    places = np.concatenate(list(members.values()))
+    low = places.min(axis=0) - _PAD_M
+    high = places.max(axis=0) + _PAD_M
     size = np.maximum(high - low, (high - low).max() / 3)  # labels have room along a thin pole
     low = (low + high - size) / 2
     x, y, z = np.column_stack([low, low + size])
@@ -104,14 +106,14 @@ def plot_pieces(run: FinishedRun, pair_id: str, ax: Axes | None = None) -> Figur
     return axis.figure
 
 
-def plot_range_image(
-    run: FinishedRun, pair_id: str, value: str = "outcome", ax: Axes | None = None
-) -> Figure:
-    """The rays of a pair over azimuth and beam.
+def plot_range_image(run: FinishedRun, pair_id: str, ax: Axes | None = None) -> Figure:
+    """The outcomes of the rays of a pair over azimuth and beam.
+
+    Left is on the left, the highest beam on top. Beams with more returns than firings in a turn
+    have more columns than most; these columns are left out.
 
     Parameters
     ----------
-    value : "outcome" of each ray, "real_range_m", or "sim_range_m" on the same rays
     ax : matplotlib axes to draw into; by default those of a new figure
 
     Raises
@@ -123,34 +125,21 @@ def plot_range_image(
     if not len(rays):
         reason = run.row(pair_id)["rays_reason"]
         raise RunError(f"run {run.folder}, pair {pair_id}: no rays: {reason}")
+    n_columns = int(rays.groupby("beam")["column"].max().median()) + 1
+    outcomes = rays["outcome"].map({name: i for i, name in enumerate(OUTCOME_COLOURS)})
+    by_ray = outcomes.set_axis([rays["beam"], rays["column"]])
+    image = by_ray.unstack().reindex(columns=range(n_columns)).to_numpy()[::-1, ::-1]
+    look = {"cmap": ListedColormap([*OUTCOME_COLOURS.values()]), "interpolation": "nearest"}
+    look |= {"vmin": 0, "vmax": len(OUTCOME_COLOURS) - 1}
     with style.axes_for(ax, 11, 3) as axis:
         axis.set(xlabel="azimuth (degrees, left positive)", ylabel="beam", title=_title(pair_id))
-        if value != "outcome":
-            label = f"{value.removesuffix('_range_m')} range (m)"
-            axis.figure.colorbar(_draw_rays(axis, rays, rays[value]), ax=axis, label=label)
-            return axis.figure
-        outcomes = rays["outcome"].map({name: i for i, name in enumerate(OUTCOME_COLOURS)})
-        colours = ListedColormap([*OUTCOME_COLOURS.values()])
-        _draw_rays(axis, rays, outcomes, cmap=colours, vmin=0, vmax=len(OUTCOME_COLOURS) - 1)
+        axis.imshow(image, extent=(180, -180, 0, len(image)), aspect="auto", **look)
         handles = []
         for name, colour in OUTCOME_COLOURS.items():
             handles.append(Patch(color=colour, label=OUTCOME_WORDS[name]))
         below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.25)}
         axis.legend(handles=handles, ncols=len(handles), **below)
     return axis.figure
-
-
-def _draw_rays(axis: Axes, rays: pd.DataFrame, values: pd.Series, **colours: Any) -> Any:
-    """Draw an image of rays by beam and column: left is on the left, the highest beam on top.
-
-    Beams with more returns than firings in a turn have more columns than most; these columns are
-    left out.
-    """
-    n_columns = int(rays.groupby("beam")["column"].max().median()) + 1
-    by_ray = values.astype(float).set_axis([rays["beam"], rays["column"]])
-    image = by_ray.unstack().reindex(columns=range(n_columns)).to_numpy()[::-1, ::-1]
-    extent = (180, -180, 0, len(image))
-    return axis.imshow(image, extent=extent, aspect="auto", interpolation="nearest", **colours)
 
 
 def _title(pair_id: str) -> str:

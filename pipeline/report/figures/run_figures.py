@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from io import BytesIO
 from pathlib import Path
 
 import pandas as pd
 from matplotlib.figure import Figure
 
-from ...storage.files import write_whole
+from ....schemas.metric_catalogue import METRIC, QUADRANT_SCORES
 from ..look import QUADRANT_COLOURS
-from ..run_frames import SCORES, RunResults, axis_title, coordinates
+from ..run_frames import RunResults, coordinates
 from . import style
 from .plots import plot_object, plot_pieces, plot_range_image
 
@@ -43,11 +42,8 @@ def draw_figures(results: RunResults, pair_id: str, folder: Path) -> list[Path]:
     paths = []
     for name, figure in figures.items():
         for kind in _KINDS:
-            content = BytesIO()
-            with style.in_our_style():
-                figure.savefig(content, format=kind, bbox_inches="tight")
             paths.append(folder / f"{name}.{kind}")
-            write_whole(paths[-1], content.getvalue())
+            style.save(figure, paths[-1])
     return paths
 
 
@@ -59,9 +55,9 @@ def _plot_r_lambda(results: RunResults, pair_id: str) -> Figure:
     r_lambda = points["community_id"].map(matched["r_lambda"]).astype(float)
     with style.axes_for(None, 8, 6) as axis:
         style.dots(axis, places, 1, "#cccccc", label="no counterpart, or no score")
-        ramp = {"cmap": style.fidelity_colours(), "vmin": 0, "vmax": 1}
+        ramp = {"cmap": style.FIDELITY_COLOURS, "vmin": 0, "vmax": 1}
         coloured = style.dots(axis, places, 1.2, r_lambda, **ramp)
-        style.colour_bar(axis, coloured, axis_title("r_lambda"))
+        style.colour_bar(axis, coloured, _axis_title("r_lambda"))
         axis.set_title(f"pair {style.shown_name(pair_id)}")
         style.from_above(axis, style.frame_of(places))
     return axis.figure
@@ -72,11 +68,11 @@ def _plot_scores(pair_ids: pd.Series, scored: pd.DataFrame) -> Figure:
     with style.new_figure(12, 3.5) as figure:
         scatter, *spreads = figure.subplots(1, 3)
         scatter.scatter(scored.cdc, scored.r_lambda, s=9, c=scored.quadrant.map(QUADRANT_COLOURS))
-        scatter.set(xlabel=axis_title("cdc"), ylabel=axis_title("r_lambda"))
-        for axis, score in zip(spreads, SCORES, strict=True):
+        scatter.set(xlabel=_axis_title("cdc"), ylabel=_axis_title("r_lambda"))
+        for axis, score in zip(spreads, QUADRANT_SCORES, strict=True):
             of_pairs = [scored[score][scored.pair_id == name].astype(float) for name in pair_ids]
             axis.boxplot(of_pairs, manage_ticks=False)
-            axis.set(xlabel="pairs, worst first", ylabel=axis_title(score))
+            axis.set(xlabel="pairs, worst first", ylabel=_axis_title(score))
     return figure
 
 
@@ -88,3 +84,8 @@ def _plot_objects(results: RunResults, scored: pd.DataFrame) -> Figure:
             axis = figure.add_subplot(2, 2, i, projection="3d", **style.VIEW)
             plot_object(results.run, str(row.pair_id), f"real:{row.real_id}", axis)
     return figure
+
+
+def _axis_title(score: str) -> str:
+    """Label of the axis of a score: its heading and its best end."""
+    return f"{METRIC[score].label} ({METRIC[score].scale})"

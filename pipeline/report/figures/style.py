@@ -1,39 +1,54 @@
-"""Style of the figures: sizes, colours, names that cannot break a drawing; saving figures.
-
-matplotlib is imported by its first use here, with a backend that needs no display.
-"""
+"""Style of the figures: sizes, colours, names that cannot break a drawing; saving figures."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from io import BytesIO
+from pathlib import Path
+from typing import Any
 
+import matplotlib.style
 import numpy as np
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
 
 from ....stages.arrays import FloatArray
+from ...storage.files import write_whole
 from ...terminal import shown
 from ..look import RAMPS, clipped
 
-if TYPE_CHECKING:
-    from .shown_figure import ShownFigure
-
 #: Where points in space are seen from.
 VIEW = {"elev": 20, "azim": -60}
+#: Colours of r_lambda from 0 (dark blue) to 1 (orange).
+FIDELITY_COLOURS = LinearSegmentedColormap.from_list("fidelity", RAMPS["light"])
+
+
+class ShownFigure(Figure):
+    """A figure that notebooks show without pyplot, which would keep it."""
+
+    def _repr_png_(self) -> bytes:
+        content = BytesIO()
+        self.savefig(content, format="png", bbox_inches="tight", dpi=110)
+        return content.getvalue()
 
 
 def in_our_style() -> Any:
     """A context in which matplotlib draws and saves in our style."""
-    from matplotlib import style
+    return matplotlib.style.context(f"{__package__}.look")
 
-    return style.context(f"{__package__}.look")
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure in the format of the file's suffix."""
+    content = BytesIO()
+    with in_our_style():
+        figure.savefig(content, format=path.suffix.removeprefix("."), bbox_inches="tight")
+    write_whole(path, content.getvalue())
 
 
 @contextmanager
 def new_figure(width_in: float, height_in: float, title: str = "") -> Iterator[ShownFigure]:
     """A figure in our style that needs no display, and that notebooks show."""
-    from .shown_figure import ShownFigure
-
     with in_our_style():
         figure = ShownFigure(figsize=(width_in, height_in))
         if title:
@@ -53,13 +68,6 @@ def axes_for(ax: Any, width_in: float, height_in: float, **look: Any) -> Iterato
     else:
         with in_our_style():
             yield ax
-
-
-def fidelity_colours() -> Any:
-    """Colours of r_lambda from 0 (dark blue) to 1 (orange)."""
-    from matplotlib.colors import LinearSegmentedColormap
-
-    return LinearSegmentedColormap.from_list("fidelity", RAMPS["light"])
 
 
 def dots(axis: Any, points: FloatArray, size: float, colour: Any, **look: Any) -> Any:

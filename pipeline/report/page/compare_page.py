@@ -10,17 +10,13 @@ from urllib.parse import quote
 
 import numpy as np
 
-from ....schemas.columns import Row
 from ....stages.arrays import FloatArray
-from ....stages.statistics.findings import evenly
+from ....stages.statistics.bands import evenly
 from ....stages.surface import signed_distances
-from ...results.causes import read_causes
 from ...results.compare import Comparison
 from ...results.finished import FinishedRun
 from ...results.followed import worst_changes
-from ...terminal import STEERING
-from ..look import PAGE_COLOURS, SIGNED_RAMP_M
-from ..run_frames import box_around, coordinates, inside
+from ..run_frames import coordinates, inside
 from ..view import percent
 from ..views.compare_view import answer, decision, numbers_view, place_words
 from .page_templates import render
@@ -33,6 +29,8 @@ _METHOD = (
 )
 #: The place that shows a flaw of the sensor or its pose: half its width.
 _NEAR_M = 10.0
+#: What is shown around a changed object.
+_AROUND_M = 1.0
 _REACH_M = 0.5
 _MOST_POINTS = 5000
 
@@ -65,68 +63,47 @@ def compare_page(comparisons: Sequence[Comparison], start: Path = Path()) -> str
                 "reports": [_report_link(run.folder, start) for run in runs],
             }
         )
-    data = {
-        "charts": {},
-        "steering": STEERING,
-        "colours": PAGE_COLOURS,
-        "signed_ramp_m": SIGNED_RAMP_M,
-        "places": drawn,
-    }
-    return render("compare.html", data, sections=sections, method=_METHOD)
+    return render("compare.html", {"places": drawn}, sections=sections, method=_METHOD)
 
 
 def _places(comparison: Comparison, runs: Sequence[FinishedRun]) -> dict[str, dict[str, Any]]:
     """By words what is shown in 3D: the first cause around the sensor, then the worst objects."""
     places = {}
-    causes = [change for change in comparison.changes.causes if change.cause.kind == "sensor"]
+    causes = [cause for cause in comparison.changes.causes if cause.kind == "sensor"]
     if causes:
-        before, after = [read_causes(run.store, comparison.pairs) for run in runs]
-        name = causes[0].cause.name
-        changed = np.nan_to_num(np.abs(after[name].amount - before[name].amount))
-        pair_id = comparison.pairs[int(np.argmax(changed))]
+        pair_id = comparison.pairs[0]
         words = f"{causes[0].words}: around the sensor, pair {pair_id}"
-        places[words] = _draw_place(pair_id, np.full(3, -_NEAR_M), np.full(3, _NEAR_M), runs)
+        places[words] = draw_place(runs, pair_id)
     for row in worst_changes(comparison.objects):
         words = f"{place_words(row)}, pair {row['pair_id']}, object {row['real_id']}"
-        places[words] = draw_change(row, runs)
+        places[words] = draw_place(runs, row["pair_id"], row["real_id"])
     return places
 
 
-def draw_change(change: Row, runs: Sequence[FinishedRun]) -> dict[str, Any]:
-    """Both simulated scans in the box of a real object and its counterparts, see `_draw_place`."""
-    members = []
-    for run, side, community in (
-        (runs[0], "real", change["real_id"]),
-        (runs[0], "sim", change["sim_before"]),
-        (runs[1], "sim", change["sim_after"]),
-    ):
-        points = run.points(change["pair_id"], side)
-        if community is not None:
-            members.append(coordinates(points[points["community_id"] == community]))
-    return _draw_place(change["pair_id"], *box_around(np.concatenate(members)), runs)
-
-
-def _draw_place(
-    pair_id: str, low: FloatArray, high: FloatArray, runs: Sequence[FinishedRun]
+def draw_place(
+    runs: Sequence[FinishedRun], pair_id: str, real_id: int | None = None
 ) -> dict[str, Any]:
-    """The points of both runs in a box: real ones, and simulated ones with their signed distances.
+    """Points of two runs around a real object, or the sensor: real ones, and simulated ones.
 
-    Parameters
-    ----------
-    runs : the base and the other run
+    Simulated points have their signed distances to the real surface.
 
     Raises
     ------
     RunError
         A table is damaged or gone.
     """
-    real = coordinates(runs[0].points(pair_id, "real"))
-    surface = real[inside(real, low - _REACH_M, high + _REACH_M)]
+    rows = runs[0].points(pair_id, "real")
+    real = coordinates(rows)
+    low, high = np.full(3, -_NEAR_M), np.full(3, _NEAR_M)
+    if real_id is not None:
+        members = real[rows["community_id"].fillna(-1) == real_id]
+        low = members.min(axis=0) - _AROUND_M
+        high = members.max(axis=0) + _AROUND_M
     sims = []
     for run in runs:
         scan = coordinates(run.points(pair_id, "sim"))
         points = _some(scan[inside(scan, low, high)])
-        signed_m = signed_distances(points, surface, _REACH_M)
+        signed_m = signed_distances(points, real, _REACH_M)
         known = signed_m[~np.isnan(signed_m)]
         words = "no simulated point with a real plane next to it"
         if len(known):

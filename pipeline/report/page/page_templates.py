@@ -13,12 +13,18 @@ from importlib import resources
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup, escape
+from markupsafe import Markup
 
-from ...terminal import shown
-from ..charts import TEMPLATE
-from ..look import QUADRANT_COLOURS, THEMES, clipped
-from ..view import sentence
+from ...terminal import STEERING, shown
+from ..look import (
+    OUTCOME_COLOURS,
+    PAGE_COLOURS,
+    QUADRANT_COLOURS,
+    SIGNED_RAMP_M,
+    TEMPLATE,
+    THEMES,
+    clipped,
+)
 
 
 def render(template: str, report: dict[str, Any], **words: Any) -> str:
@@ -30,7 +36,13 @@ def render(template: str, report: dict[str, Any], **words: Any) -> str:
     report : what JavaScript reads, plain values
     words : what the template shows
     """
-    report = {"template": TEMPLATE, **report}
+    report = {
+        "template": TEMPLATE,
+        "steering": STEERING,
+        "colours": PAGE_COLOURS,
+        "signed_ramp_m": SIGNED_RAMP_M,
+        **report,
+    }
     return _environment().get_template(template).render(report=report, **words)
 
 
@@ -46,12 +58,10 @@ def _environment() -> Environment:
     environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
     environment.filters |= {
         "shown": shown,
-        "sentence": sentence,
         "clipped": clipped,
-        "with_code": _with_code,
     }
     environment.globals |= {
-        "quadrant_colours": QUADRANT_COLOURS,
+        "bar_colours": QUADRANT_COLOURS | OUTCOME_COLOURS,
         "themes": THEMES,
         "asset": _asset,
         "code": _code,
@@ -78,8 +88,3 @@ def _code(*names: str) -> Markup:
     """
     text = "\n".join(_asset(name) for name in names)
     return Markup(re.sub(r"^import [^;]*;\n|^export ", "", text, flags=re.MULTILINE))
-
-
-def _with_code(text: str) -> Markup:
-    """Text in which no line ends within an option of the command."""
-    return Markup(re.sub(r"--[a-z][a-z-]+", r"<code>\g<0></code>", str(escape(shown(text)))))

@@ -14,28 +14,23 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from ....schemas.columns import SIDES
-from ....schemas.metric_catalogue import scores_in
-from ....stages.arrays import BoolArray, FloatArray
-from ....stages.coverage import COVERAGE_DISTANCES_M
-from ....stages.statistics.findings import evenly
+from ....schemas.columns import SIDES, Row
+from ....schemas.metric_catalogue import COVERED, labels, scores_in
+from ....stages.arrays import BoolArray
+from ....stages.statistics.bands import evenly
 from ....stages.surface import signed_distances
 from ...results.object_frame import plain_rows
-from ..run_frames import OBJECT_COVERAGE, OBJECT_ROAD, RunResults, coordinates, points_of
-from ..view import columns_of
+from ..run_frames import RunResults, coordinates, points_of
+from ..view import Table
 from ..views.show_view import alone_judgement, judgement
 
-#: Properties of a chosen object, the first ones at first sight; an object shows those it has.
-_FACTS = (
-    *("range_m", *scores_in("panel"), *OBJECT_COVERAGE, "n_real", "n_sim", "bearing_deg"),
-    *("quadrant", *OBJECT_ROAD, "n_keep", "group", "status", "reason", *scores_in("object")),
+#: Columns of an object that the page draws it by.
+_COLUMNS = (
+    *("name", "real_id", "sim_id", "status", "group", "quadrant", "cdc", "r_lambda"),
+    *("n_real", "n_sim", "n_keep"),
 )
-FACTS = tuple(dict.fromkeys(_FACTS))  # each once
-#: Columns of the objects, in the order of their rows in the page.
-OBJECT_COLUMNS = ("name", "real_id", "sim_id", "sentence", *FACTS)
-#: The distance of a point to the other side is a byte, its largest value for this and more metres.
-FAR_M = COVERAGE_DISTANCES_M[-1]
-_FAR = 255
+#: Scores of a chosen object.
+_PANEL = (*scores_in("panel"), *COVERED)
 #: The signed distance to the planes of the real side is a byte, from -SIGNED_M to SIGNED_M.
 SIGNED_M = 0.5
 _NO_SIGN = 255
@@ -44,7 +39,6 @@ MOST_POINTS = 1_000_000
 #: Of one object, if it has as many.
 _FEWEST_OF_OBJECT = 80
 _MOST_ROAD_POINTS = 4000
-_ROAD_CELL_M = 0.4
 _STEPS = 32767
 
 
@@ -63,14 +57,23 @@ def pair_data(results: RunResults, pair_id: str, most_points: int = MOST_POINTS)
     points = points_of(results.run, pair_id)
     farthest_m = max(float(np.abs(coordinates(rows)).max()) for rows in points.values())
     step_m = farthest_m / _STEPS  # coordinates fit into 16 bits
-    objects = plain_rows(results.objects[results.objects["pair_id"] == pair_id])
-    for row in objects:
-        row["sentence"] = judgement(row) if row["partner"] >= 0 else alone_judgement(row)
+    rows = plain_rows(results.objects[results.objects["pair_id"] == pair_id])
     return {
         "step_m": step_m,
         "sides": {side: _side_data(points, side, most_points // 2, step_m) for side in SIDES},
-        "objects": columns_of(objects, OBJECT_COLUMNS),
+        "objects": [_object_data(row) for row in rows],
     }
+
+
+def _object_data(row: Row) -> Row:
+    """An object for the page: what is wrong with it, and the numbers that it has."""
+    judged = judgement(row) if row["partner"] >= 0 else alone_judgement(row)
+    facts: list[tuple[str, object]] = [("range (m)", row["range_m"])]
+    facts += zip(labels(_PANEL), (row[name] for name in _PANEL), strict=True)
+    facts += [("real points", row["n_real"]), ("simulated points", row["n_sim"])]
+    known = [fact for fact in facts if fact[1] is not None]
+    texts = {"sentence": judged, "facts": Table("", ("", ""), known).cells}
+    return texts | {name: row[name] for name in _COLUMNS}
 
 
 def thinned(ids: pd.Series, most: int) -> BoolArray:
@@ -93,47 +96,27 @@ def thinned(ids: pd.Series, most: int) -> BoolArray:
 def _side_data(
     points: dict[str, pd.DataFrame], side: str, most: int, step_m: float
 ) -> dict[str, Any]:
-    """The points of a side: how many of each object, and the packed arrays of objects and road."""
+    """The points of a side: how many of each object, and the packed arrays: objects, then road."""
     rows = points[side]
     of_objects = rows[rows["community_id"].fillna(-1) >= 0]  # without those left out
     of_objects = of_objects.sort_values("community_id", kind="stable")
     shown = of_objects[thinned(of_objects["community_id"], most)]
-    road = _some_road(coordinates(rows[rows["is_ground"]]))
+    road = coordinates(rows[rows["is_ground"]])
+    places = np.concatenate([coordinates(shown), road[evenly(len(road), _MOST_ROAD_POINTS)]])
     counts = shown["community_id"].value_counts(sort=False)
     data = {
         "n": len(of_objects),
         "ids": counts.index.tolist(),
         "counts": counts.tolist(),
-        "points": _packed_points(coordinates(shown), step_m),
-        "distance": _packed(_in_bytes(shown["distance_m"].to_numpy() / FAR_M, _FAR)),
+        "points": _packed(np.rint(places / step_m).astype("<i2").T),  # all x, all y, all z
         "piece": _packed((shown["piece_id"] >= 0).to_numpy()),
-        "road": _packed_points(road, step_m),
     }
     if side == "sim":
-        places = np.concatenate([coordinates(shown), road])
-        signed = signed_distances(places, coordinates(points["real"]), SIGNED_M)
-        steps = _in_bytes((signed / SIGNED_M + 1) / 2, _NO_SIGN - 1)
-        data["signed"] = _packed(steps[: len(shown)])
-        data["road_signed"] = _packed(steps[len(shown) :])
+        signed_m = signed_distances(places, coordinates(points["real"]), SIGNED_M)
+        shares = np.clip((signed_m / SIGNED_M + 1) / 2, 0, 1)
+        steps = np.rint((_NO_SIGN - 1) * shares)
+        data["signed"] = _packed(np.nan_to_num(steps, nan=_NO_SIGN).astype(np.uint8))
     return data
-
-
-def _some_road(road: FloatArray) -> FloatArray:
-    """Road points evenly over the ground, one per cell; for display only."""
-    cells = np.floor(road[:, :2] / _ROAD_CELL_M)
-    _, first = np.unique(cells, axis=0, return_index=True)
-    return road[first[evenly(len(first), _MOST_ROAD_POINTS)]]
-
-
-def _in_bytes(share: FloatArray, whole: int) -> Any:
-    """Shares of `whole`, cut off at 0 and 1; NaN is `_NO_SIGN`."""
-    steps = np.rint(whole * np.clip(share, 0, 1))
-    return np.nan_to_num(steps, nan=_NO_SIGN).astype(np.uint8)
-
-
-def _packed_points(points: FloatArray, step_m: float) -> str:
-    """Points in steps: all x, all y, all z."""
-    return _packed(np.rint(points / step_m).astype("<i2").T)
 
 
 def _packed(values: NDArray[Any]) -> str:

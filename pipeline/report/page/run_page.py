@@ -78,19 +78,10 @@ def write_report(
         show.advance(1, 1)
     show.stop()
     data = {**page_data(results), "views": views}
-    words = page_words(results, excess)
-    content = render("report.html", data, view_note=_view_note(len(names), n_pairs), **words)
+    words = page_words(results, views, excess)
+    content = render("report.html", data, n_views=len(names), **words)
     write_whole(page, content.encode())
     figures = []
     if with_figures:
         figures = draw_figures(results, chosen[len(chosen) // 2], folder / FIGURES)
     return ReportFiles(page, figures, len(names), n_pairs)
-
-
-def _view_note(n_shown: int, n_all: int) -> str:
-    if n_shown == n_all:
-        return f"All {n_all} pairs, worst first." if n_all > 1 else ""
-    return (
-        f"Of {n_all} pairs the page holds the points of {n_shown}, worst first: the worst, and those "
-        "of the largest pieces. fidpipe report with --pairs PATTERN chooses others."
-    )

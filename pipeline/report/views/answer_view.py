@@ -6,14 +6,15 @@ import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from ....schemas.metric_catalogue import headline_scores, metric_of
-from ....schemas.record import RunHeader, RunRecord
+from ....schemas.metric_catalogue import COVERED, headline_scores, metric_of
+from ....schemas.record import RunRecord
 from ....schemas.results import Cause, Overview, Unknown
 from ....stages.statistics.comparison import LEAST_FOR_INTERVAL
-from ...results.best_case import BestCaseRecipe, RunExcess, read_recipe, run_of_best_case
+from ...results.best_case import BestCaseRecipe, RunExcess, read_recipe
 from ...results.causes import MANY_UNKNOWN, MOST_SHOWN, interval_words, no_cause_words
 from ...results.diagnosis import doubtful_words, gain_words, unexplained_words
 from ...results.finished import FinishedRun
+from ...storage.run_record import as_options
 from ...storage.urls import url_or_path
 from ..view import (
     Answers,
@@ -31,7 +32,6 @@ from ..view import (
 _MOST_PLACES = 3
 _MOST_CAUTIONS = 2
 _PAIR_WIDTH = 16
-_COVERED = ("covered_real_0p3m", "covered_sim_0p3m")
 #: The measures of tasks that the answer has, and their words.
 _TASK_WORDS = {
     "objects.lost": "your obstacles: {} lost",
@@ -108,14 +108,6 @@ def frame_warnings(run: FinishedRun) -> list[Note]:
     return [Note(f"warning: {text}", "red") for text in words]
 
 
-def run_options(record: RunHeader) -> list[str]:
-    """Preset and settings of a run, as options of a command."""
-    options = ["--preset", record.preset]
-    for setting in record.departures:
-        options += ["--set", setting]
-    return options
-
-
 def cause_items(causes: Sequence[Cause]) -> list[Item]:
     """Causes as items of an answer: words, interval and gain, and the setting."""
     items = []
@@ -137,11 +129,13 @@ def trust_words(
 
     Commands name the folder of the run.
     """
+    hidden = {"frames"}  # they are shown above
+    if has_best_case:
+        hidden.add("best_case")
     command = shlex.join(["fidpipe", "best-case", url_or_path(folder)])
     trust = []
     for caution in overview.trust:
-        is_shown_above = caution.kind in ("failed", "frames")
-        if not is_shown_above and not (has_best_case and caution.kind == "best_case"):
+        if caution.kind not in hidden:
             trust.append(caution.words.replace("fidpipe best-case RUN", command))
     return trust[:most] + unknown_words(overview.unknown)
 
@@ -160,11 +154,13 @@ def next_commands(
     run: FinishedRun, recipe: BestCaseRecipe | None, *, is_page: bool = False
 ) -> list[str]:
     """The commands that lead on from a run, or from its page."""
+    record = run.record
     name = url_or_path(run.folder)
     if recipe is not None:
-        commands = [["show", run_of_best_case(run.folder, recipe), "--best-case", name]]
-    elif run.record.frames:
-        commands = [["check", run.record.dataset, *run_options(run.record)]]
+        commands = [["show", "RUN", "--best-case", name]]
+    elif record.frames:
+        options = as_options(record.preset, record.departures)
+        commands = [["check", record.dataset, *options]]
     else:
         last = ["compare", name, "NEW_RUN"] if is_page else ["report", name, "--open"]
         commands = [last] if run.diagnosis else [["diagnose", name], last]
@@ -196,14 +192,14 @@ def run_line(run: FinishedRun, took: str = "") -> str:
 
 def surface_words(record: RunRecord, excess: RunExcess | None = None) -> str:
     """Share of each side's surface that the other side has, with the best case's."""
-    real, sim = [percent(record.summary[column].mean) for column in _COVERED]
+    real, sim = [percent(record.summary[column].mean) for column in COVERED]
     words = (
         f"{real} of the real surface is simulated within 0.3 m, "
         f"{sim} of the simulated surface is real"
     )
     if excess is None:
         return words
-    best_case = ", ".join(percent(excess.scores[column].best_case) for column in _COVERED)
+    best_case = ", ".join(percent(excess.scores[column]["best_case"]) for column in COVERED)
     return f"{words} (best case {best_case})"
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from ....schemas.metric_catalogue import metric_of, pair_columns_in
 from ...results.best_case import RunExcess
 from ..view import Note, Table, View, count, signed, warnings
@@ -15,29 +13,19 @@ _EXCESS_NOTE = (
     "them, else over pairs; the shift of the values, and what is left between the distributions "
     "without it."
 )
-#: What the terminal shows; JSON and the page have all.
-HEADLINES = pair_columns_in("excess")
 _MOST_NAMES = 5
 
 
-def excess_view(excess: RunExcess, columns: Sequence[str] = ()) -> View:
-    """The scores of a run over its best case: means of both, excess, bias and area.
-
-    Parameters
-    ----------
-    columns : of `pairs`; by default all that have a best case
-    """
+def excess_view(excess: RunExcess) -> View:
+    """The scores of a run over its best case: means of both, excess, bias and area."""
     rows = []
-    for column in columns or excess.scores:
+    for column in pair_columns_in("excess"):
         score = excess.scores[column]
-        if not score.n_pairs:  # no pair has it in both runs
+        if not score["n_pairs"]:  # no pair has it in both runs
             continue
-        rows.append(
-            (
-                *(metric_of(score.column).label, score.mean, score.best_case),
-                *(signed(score.excess), score.std, signed(score.bias), score.area),
-            )
-        )
+        means = (score["mean"], score["best_case"], signed(score["excess"]), score["std"])
+        distance = (signed(score["bias"]), score["area"])
+        rows.append((metric_of(column).label, *means, *distance))
     headings = ("score", "mean", "best case", "excess", "± std", "bias", "area")
     n_pairs = count(len(excess.pairs), "pair")
     title = f"{excess.run} over the best case {excess.best_case} ({excess.recipe.words}): {n_pairs}"

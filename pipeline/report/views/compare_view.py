@@ -10,7 +10,7 @@ from ....schemas.columns import Row
 from ....stages.statistics.comparison import LEAST_FLIPPED, LEAST_PAIRS, Difference
 from ...results.causes import interval_words
 from ...results.compare import Comparison
-from ...results.families import ERROR_RATE, MARKS_NOTE, TASKS, FamilyChange, score_rows
+from ...results.families import ERROR_RATE, MARKS_NOTE, TASKS
 from ...results.followed import worst_changes
 from ...results.independence import NEEDED, pairs_and_places
 from ...results.sectors import N_SECTORS
@@ -36,14 +36,8 @@ _PAIR_WIDTH = 24
 #: Most objects to look at, and with --all.
 _MOST_PLACES = 3
 _MOST_PLACES_OF_ALL = 20
-#: Headings of the causes and families with a verdict.
-_HEADINGS = {
-    "worse": "Worse",
-    "mixed": "Mixed",
-    "better": "Better",
-    "changed": "Changed",
-    "": "In the world",
-}
+#: Verdicts of causes and families in the order in which they are shown; causes of the world have none.
+_VERDICTS = ("worse", "mixed", "better", "changed", "")
 
 
 def compare_view(comparison: Comparison, *, with_all: bool = False) -> View:
@@ -64,10 +58,9 @@ def compare_view(comparison: Comparison, *, with_all: bool = False) -> View:
 
 def numbers_view(comparison: Comparison, *, with_all: bool) -> View:
     """The families of scores and the limits; with `with_all` every score."""
-    parts: list[Part] = [family_table(comparison)] if comparison.families else []
-    if with_all:
-        parts += [score_table(comparison), Note(MARKS_NOTE)]
-    return [*parts, *remarks(comparison)]
+    if not comparison.families:
+        return remarks(comparison)
+    return [scores_table(comparison, with_all=with_all), *remarks(comparison)]
 
 
 def decision(comparison: Comparison) -> str:
@@ -112,13 +105,15 @@ def reasons(comparison: Comparison) -> dict[str, list[Item]]:
     By verdict: worse, mixed, better; changed if that is neither worse nor better, and "" for causes
     of the world, about which the families decide.
     """
-    behind: dict[str, list[Item]] = {verdict: [] for verdict in _HEADINGS}
-    for change in comparison.changes.causes:
-        amount = f"95 %: {interval_words(change.cause)}"
-        behind[change.verdict].append((change.words, amount, change.cause.setting))
+    behind: dict[str, list[Item]] = {verdict: [] for verdict in _VERDICTS}
+    for cause in comparison.changes.causes:
+        amount = f"95 %: {interval_words(cause)}"
+        behind[cause.verdict].append((cause.words, amount, cause.setting))
     for family in comparison.families:
         if family.verdict in ("worse", "mixed", "better") and not family.why:
-            behind[family.verdict].append((family.name, _score_words(family), ""))
+            score = family.scores[0]
+            words = f"{score.name} {_interval(score.difference)}"
+            behind[family.verdict].append((family.name, words, ""))
     return behind
 
 
@@ -144,24 +139,12 @@ def answer(comparison: Comparison, n_places: int = _MOST_PLACES) -> Answers:
 def _by_verdict(comparison: Comparison) -> list[tuple[str, Sequence[Item]]]:
     """The causes and families behind a decision, by the heading of their verdict."""
     behind = reasons(comparison).items()
-    return [(_HEADINGS[verdict], items) for verdict, items in behind if items]
+    return [(verdict.capitalize() or "In the world", items) for verdict, items in behind if items]
 
 
 def place_words(row: Row) -> str:
     """A changed real object in words."""
     return f"{row['label'] or row['shape']}, {row['range_m']:.0f} m away: {row['kind']}"
-
-
-def _score_words(family: FamilyChange) -> str:
-    """The clearest score of a family; of a mixed one the scores that are better or worse."""
-    if family.verdict != "mixed":
-        score = family.scores[0]
-        return f"{score.name} {_interval(score.difference)}"
-    verdicts = []
-    for score in family.scores:
-        if not score.why and score.verdict in ("worse", "better"):
-            verdicts.append(f"{score.name} {score.verdict}")
-    return ", ".join(verdicts)
 
 
 def _moved(comparison: Comparison) -> list[str]:
@@ -190,8 +173,7 @@ def chance(comparison: Comparison) -> str:
 
 def remarks(comparison: Comparison) -> list[Note]:
     """Notes that qualify the numbers."""
-    lines = [f"settings differ: {text}" for text in comparison.settings]
-    lines += [f"also differs: {text}" for text in comparison.notes]
+    lines = [f"differs: {text}" for text in (*comparison.settings, *comparison.notes)]
     tending = [family.name for family in comparison.families if family.tendency == "worse"]
     if tending:
         lines.append(
@@ -214,7 +196,11 @@ def remarks(comparison: Comparison) -> list[Note]:
     if comparison.changes.doubtful:
         doubtful = "; ".join(comparison.changes.doubtful)
         lines.append(f"seen, but undoing it brings nothing closer: {doubtful}")
-    lines += _on_chance(comparison)
+    if comparison.on_partition:
+        lines.append(comparison.on_partition)
+    by_seeds = [score.name for score in comparison.scores if score.is_by_seeds]
+    if by_seeds:
+        lines.append(f"no more than Louvain seeds alone make: {', '.join(by_seeds)}")
     n_unfollowed = len(comparison.unfollowed)
     if n_unfollowed:
         lines.append(
@@ -226,25 +212,20 @@ def remarks(comparison: Comparison) -> list[Note]:
     return warnings(lines)
 
 
-def _on_chance(comparison: Comparison) -> list[str]:
-    """What the partition and its seeds alone make."""
-    lines = [comparison.on_partition] if comparison.on_partition else []
-    by_seeds = [score.name for score in comparison.scores if score.is_by_seeds]
-    if by_seeds:
-        lines.append(f"no more than Louvain seeds alone make: {', '.join(by_seeds)}")
-    return lines
-
-
-def family_table(comparison: Comparison) -> Table:
-    """One row per family: verdict, its clearest score before and after."""
+def scores_table(comparison: Comparison, *, with_all: bool) -> Table:
+    """One row per family: its verdict and its clearest score; with `with_all` one per score."""
     rows = []
     for family in comparison.families:
-        score = family.scores[0]
-        change = score.difference
-        numbers = (change.before, change.after, _interval(change), _p(family.p))
-        rows.append((family.name, family.called, score.name, *numbers))
-    headings = ("family", "verdict", "clearest change", "before", "after", "change, 95 %", "p")
-    return Table("", headings, rows, words=(0, 1, 2), wide=(6,), whole=(1,))
+        verdict = family.called
+        for score in family.scores if with_all else family.scores[:1]:
+            change = score.difference
+            p = "<0.001" if score.p is not None and score.p < 0.001 else score.p
+            numbers = (change.before, change.after, _interval(change), p)
+            rows.append((family.name, verdict, f"{score.name} {score.mark}", *numbers))
+            verdict = ""
+    headings = ("family", "verdict", "score", "before", "after", "change, 95 %", "p")
+    title = f"Means over {len(comparison.pairs)} pairs, the clearest change first ({MARKS_NOTE})"
+    return Table(title, headings, rows, words=(0, 1, 2), wide=(6,), whole=(1,))
 
 
 def changed_since(comparison: Comparison) -> View:
@@ -254,36 +235,6 @@ def changed_since(comparison: Comparison) -> View:
     if not sections:
         return [title, Note("no cause changed by more than the accuracy of its estimate")]
     return [title, Answers(sections)]
-
-
-def score_table(comparison: Comparison) -> Table:
-    """One row per score with its numbers, and an arrow to where it is better."""
-    rows = []
-    for family in comparison.families:
-        for score in family.scores:
-            change = score.difference
-            numbers = (change.n_pairs, change.before, change.after, _interval(change), _p(score.p))
-            verdict = f"({score.verdict})" if score.why else score.verdict
-            rows.append((family.name, f"{score.name} {score.mark}", *numbers, verdict))
-    headings = ("family", "score", "pairs", "before", "after", "change, 95 %", "p", "verdict")
-    title = f"Means over {len(comparison.pairs)} pairs; in brackets: ignored"
-    return Table(title, headings, rows, words=(0, 1, 7), wide=(0, 2), whole=(7,))
-
-
-def compare_records(comparisons: Sequence[Comparison]) -> Table:
-    """One row per run and score, numbers in full."""
-    rows = []
-    headings = ["base", "run", "places"]
-    for comparison in comparisons:
-        runs = (str(comparison.base), str(comparison.other), comparison.n_places)
-        for row in score_rows(comparison.families):
-            headings[3:] = row
-            rows.append((*runs, *row.values()))
-    return Table("", tuple(headings), rows)
-
-
-def _p(p: float | None) -> str:
-    return "<0.001" if p is not None and p < 0.001 else number(p)
 
 
 def _interval(change: Difference) -> str:

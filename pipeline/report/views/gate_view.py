@@ -5,16 +5,13 @@ The XML is written with the standard library: it is three elements deep.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from itertools import chain
 from xml.etree import ElementTree
 
 from ...results.gate import BaseResult, Check, GateResult, Judged
+from ...terminal import shown
 from ..view import Note, Table, View, warnings
-
-#: What XML 1.0 cannot hold, not even escaped.
-_NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def gate_view(result: GateResult) -> View:
@@ -22,7 +19,8 @@ def gate_view(result: GateResult) -> View:
     rows = []
     for judged in result.judged:
         verdict = "pass" if judged.passed else "FAIL"
-        rows.append((judged.name, judged.measure, _value(judged), _bound(judged), verdict))
+        value = "-" if judged.value is None else f"{judged.value:.6g}"
+        rows.append((judged.name, judged.measure, value, judged.bound_words, verdict))
     headings = ("criterion", "measure", "value", "bound", "verdict")
     failed = [judged for judged in result.judged if not judged.passed]
     outcome = Note("all criteria are met", "green")
@@ -31,7 +29,7 @@ def gate_view(result: GateResult) -> View:
     return [
         Table(f"Gate of {result.run}", headings, rows, words=(0, 1)),
         *warnings(result.notes),
-        *(Note(f"failed: {_in_words(judged)}", "red") for judged in failed),
+        *(Note(f"failed: {judged.found}", "red") for judged in failed),
         outcome,
     ]
 
@@ -46,27 +44,16 @@ def base_view(result: BaseResult) -> View:
     ]
 
 
-def gate_checks(result: GateResult) -> list[Check]:
-    """The criteria as text, for JUnit."""
-    checks = []
-    for judged in result.judged:
-        fault = ""
-        if not judged.passed:
-            fault = "not computed" if judged.value is None else "bound"
-        checks.append(Check(judged.name, _in_words(judged), fault))
-    return checks
-
-
-def junit_xml(command: str, suites: Mapping[str, Sequence[Check]]) -> bytes:
+def junit_xml(command: str, suites: Mapping[str, Sequence[Check | Judged]]) -> bytes:
     """JUnit test suites by name, of a command of fidpipe: one test case per check."""
     root = ElementTree.Element("testsuites", _counts(list(chain(*suites.values()))))
     for name, checks in suites.items():
-        about = {"name": _clean(f"fidpipe {command} {name}")} | _counts(checks)
+        about = {"name": shown(f"fidpipe {command} {name}")} | _counts(checks)
         suite = ElementTree.SubElement(root, "testsuite", about)
         for check in checks:
-            about = {"classname": f"fidpipe.{command}", "name": _clean(check.name), "time": "0"}
+            about = {"classname": f"fidpipe.{command}", "name": shown(check.name), "time": "0"}
             case = ElementTree.SubElement(suite, "testcase", about)
-            words = _clean(check.found)
+            words = shown(check.found)
             if check.fault:
                 failure = {"message": words, "type": check.fault}
                 ElementTree.SubElement(case, "failure", failure).text = words
@@ -76,26 +63,6 @@ def junit_xml(command: str, suites: Mapping[str, Sequence[Check]]) -> bytes:
     return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
 
 
-def _counts(checks: Sequence[Check]) -> dict[str, str]:
+def _counts(checks: Sequence[Check | Judged]) -> dict[str, str]:
     n_failed = sum(bool(check.fault) for check in checks)
     return {"tests": str(len(checks)), "failures": str(n_failed), "errors": "0"}
-
-
-def _in_words(judged: Judged) -> str:
-    words = judged.why
-    if judged.value is not None:
-        words = f"{judged.measure} is {_value(judged)}, expected {_bound(judged)}"
-    reason = f" ({judged.reason})" if judged.reason else ""
-    return f"{judged.name}: {words}{reason}"
-
-
-def _value(judged: Judged) -> str:
-    return "-" if judged.value is None else f"{judged.value:.6g}"
-
-
-def _bound(judged: Judged) -> str:
-    return f"{'<=' if judged.bound == 'max' else '>='} {judged.limit:g}"
-
-
-def _clean(text: str) -> str:
-    return _NOT_XML.sub("\ufffd", text)

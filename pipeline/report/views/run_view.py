@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from ....schemas.columns import SIDES, Row
+from ....schemas.columns import Row
 from ....schemas.metric_catalogue import (
-    COVERAGE_REACHES,
-    DISTRIBUTED,
+    COVERED,
     METRIC,
+    QUADRANT_SCORES,
     labels,
     metric_of,
     narrow_labels,
@@ -17,7 +17,7 @@ from ....schemas.metric_catalogue import (
     unit_words,
 )
 from ....schemas.record import BaselineSummary, RunRecord, SeedSummary, TaskSummary
-from ....schemas.results import Findings, JsonObject, Overview, Unmatched
+from ....schemas.results import Findings, JsonObject
 from ...results.best_case import RunExcess
 from ...results.finished import FinishedRun, run_values
 from ...storage.run_record import unmatched_worst
@@ -28,27 +28,18 @@ from ..view import (
     View,
     columns_of,
     first_of,
-    mean_and_spread,
-    number,
     percent,
     shortened,
 )
 from .answer_view import answer_view, frame_warnings
-from .best_case_view import HEADLINES, excess_view
+from .best_case_view import excess_view
 
 if TYPE_CHECKING:
     from ...run import RunOutcome
 
 _MOST_PAIRS = 20
-_MOST_CLASSES = 8
 _PAIR_WIDTH = 16
 _SCORES = pair_columns_in("run")
-#: All scores of the summary, displacement and roughness of the surface last.
-_DATASET = (
-    *pair_columns_in("numbers"),
-    *(f"covered_{side}_{reach}" for side in SIDES for reach in COVERAGE_REACHES),
-    *("shift_x_m", "shift_y_m", "shift_z_m", "roughness_real_m", "roughness_sim_m"),
-)
 
 
 def outcome_view(outcome: RunOutcome) -> View:
@@ -84,37 +75,23 @@ def summary_view(
     record = run.record
     parts: list[Part] = []
     if with_all and record.findings:
-        parts += [_pairs_table(run.scored), *details_view(record)]
-        parts += _findings_parts(record.findings)
+        parts += [_worst_pairs(run.scored), *details_view(record)]
     if record.baselines:
         parts += baselines_view(record.baselines)
     if record.seeds:
         parts += seeds_view(record.seeds)
     if excess:
-        parts += [*excess_view(excess, HEADLINES), Note("")]
+        parts += [*excess_view(excess), Note("")]
     parts += [*failures_view(run), *frame_warnings(run)]
     return [*parts, *answer_view(run, excess, with_all=with_all, took=took)]
 
 
 def details_view(record: RunRecord) -> View:
     """Tasks, all scores, and surface and objects by range and class."""
-    parts: list[Part] = [*tasks_view(record.tasks), dataset_table(record)]
-    if record.overview:
-        parts.append(surface_table(record.overview))
+    parts = [*tasks_view(record.tasks), dataset_table(record)]
     if record.findings:
-        parts.append(_objects_table(record.findings))
+        parts.append(_groups_table(record.findings))
     return parts
-
-
-def surface_table(overview: Overview) -> Table:
-    """Missing and invented surface by range and by class."""
-    rows = []
-    for group in overview.surface:
-        missing = percent(group.missing_share)
-        invented = percent(group.invented_share)
-        rows.append((group.name, group.n_real, missing, group.n_sim, invented))
-    title = "Surface by range and class (object points without a counterpart within 0.3 m)"
-    return Table(title, ("", "real points", "missing", "simulated points", "invented"), rows)
 
 
 def failures_view(run: FinishedRun) -> View:
@@ -134,19 +111,19 @@ def baselines_view(summaries: Sequence[BaselineSummary]) -> View:
     notes = []
     for summary in summaries:
         metric = METRIC[summary.baseline]
-        mean = mean_and_spread(summary.mean, summary.std, 4)
-        rows.append((metric.heading, summary.level, unit_words(metric.unit), mean))
+        unit = unit_words(metric.unit)
+        rows.append((metric.heading, summary.level, unit, summary.mean, summary.std))
         if summary.n_null:
             n = summary.n + summary.n_null
             notes.append(f"{summary.baseline} is null for {summary.n_null} of {n} {summary.level}")
-    headings = ("baseline", "of", "unit", "mean")
+    headings = ("baseline", "of", "unit", "mean", "std")
     title = "Baselines (mean and standard deviation over pairs)"
     lines = (
         "A pair counts with the mean over its matched objects, or with all object points of its "
         "two scans (nvs: ground as well).",
         *notes,
     )
-    return [Table(title, headings, rows, words=(0, 1, 2)), *map(Note, lines)]
+    return [Table(title, headings, rows, words=(0, 1, 2), digits=4), *map(Note, lines)]
 
 
 def seeds_view(seeds: SeedSummary) -> View:
@@ -169,114 +146,63 @@ def seeds_view(seeds: SeedSummary) -> View:
 
 def tasks_view(summaries: Sequence[TaskSummary]) -> View:
     """Mean of each measure of the tasks on both sides, and of its gap; nothing without tasks."""
-    rows = []
-    for summary in summaries:
-        gap = mean_and_spread(summary.gap, summary.gap_std)
-        names = (summary.task, summary.measure, summary.unit)
-        rows.append((*names, number(summary.real, 2), number(summary.sim, 2), gap))
+    names = ("task", "measure", "unit", "real", "sim", "gap", "gap_std")
+    rows = columns_of(map(vars, summaries), names)
     if not rows:
         return []
-    headings = ("task", "measure", "unit", "real", "simulated", "gap")
+    headings = ("task", "measure", "unit", "real", "simulated", "gap", "std of gap")
     title = "Tasks (means over pairs; gap 0: a perception stack would notice nothing)"
     return [Table(title, headings, rows, words=(0, 1, 2))]
 
 
-def _pairs_table(scored: Sequence[Row]) -> Table:
-    title = "Pairs (means over matched objects)"
-    if len(scored) > _MOST_PAIRS:
-        scored = sorted(scored, key=lambda row: row["match_rate"])[:_MOST_PAIRS]
-        title = f"The {_MOST_PAIRS} pairs with the lowest match rate (means over matched objects)"
-    headings = ("pair", "objects\nboth", "only\nreal", "only\nsim", *narrow_labels(_SCORES))
-    columns = ("pair_id", "n_matched", "n_not_found", "n_extra", *_SCORES)
-    names = shortened({row["pair_id"] for row in scored}, _PAIR_WIDTH)
-    rows = [row | {"pair_id": names[row["pair_id"]]} for row in scored]
-    return Table(title, headings, columns_of(rows, columns), whole=(0,))
+def pairs_table(pairs: Sequence[Row], links: Sequence[str] = ()) -> Table:
+    """Scored pairs in the given order; a terminal has the first of them, and no room for coverage.
+
+    links : addresses of the pairs on a page
+    """
+    columns = ("pair_id", "n_matched", "n_not_found", "n_extra", *_SCORES, *COVERED)
+    wide = range(len(columns) - len(COVERED), len(columns))
+    scores = narrow_labels((*_SCORES, *COVERED))
+    headings = ("pair", "objects\nboth", "only\nreal", "only\nsim", *scores)
+    cells = columns_of(pairs, columns)
+    title = "Pairs, worst first (means over matched objects)"
+    return Table(title, headings, cells, wide=wide, whole=(0,), links=links)
+
+
+def _worst_pairs(scored: Sequence[Row]) -> Table:
+    """The pairs with the lowest match rate, their names shortened."""
+    worst = sorted(scored, key=lambda row: row["match_rate"])[:_MOST_PAIRS]
+    names = shortened({row["pair_id"] for row in worst}, _PAIR_WIDTH)
+    return pairs_table([row | {"pair_id": names[row["pair_id"]]} for row in worst])
 
 
 def dataset_table(record: RunRecord) -> Table:
-    """Means over pairs, number of pairs, and means with unmatched objects as worst.
-
-    Under the paper's preset also the paper's means.
-    """
-    with_paper = record.preset == "paper"
-    headings = ["score", "mean", "std", "pairs", "unmatched\nas worst", "how to read it"]
-    if with_paper:
-        headings.append("paper")
+    """Means over pairs, number of pairs, and means with unmatched objects as worst."""
+    headings = ("score", "mean", "std", "pairs", "unmatched\nas worst", "how to read it")
     rows = []
-    for column in _DATASET:
+    for column in pair_columns_in("numbers"):
         metric = metric_of(column)
         score = record.summary[column]
         worst = record.summary.get(unmatched_worst(metric.column))
-        row: list[object] = [
-            metric.label,
-            score.mean,
-            score.std,
-            f"{score.n_pairs} of {record.pairs.scored}",
-            worst.mean if worst else "",
-            metric.reading or metric.meaning,
-        ]
-        if with_paper:
-            row.append("" if metric.paper_mean is None else metric.paper_mean)
-        rows.append(row)
+        n_pairs = f"{score.n_pairs} of {record.pairs.scored}"
+        unmatched = worst.mean if worst else ""
+        reading = metric.reading or metric.meaning
+        rows.append((metric.label, score.mean, score.std, n_pairs, unmatched, reading))
     title = "Dataset (mean and standard deviation over pairs)"
     return Table(title, headings, rows, words=(0, 5), wide=(5,), whole=(0,))
 
 
-def _findings_parts(findings: Findings) -> View:
-    """Distributions over all objects, as in the paper's "Real experiments"."""
-    rank = findings.rank_correlation
-    ratio = findings.density_ratio
-    return [
-        _distributions(findings),
-        Note(
-            f"Rank correlation of CDC and r_lambda: Spearman {number(rank.spearman, 2)}, Kendall "
-            f"{number(rank.kendall, 2)} (near 0: they measure different things)"
-        ),
-        Note(
-            f"Points, simulated / real: {number(ratio.min, 2)} to {number(ratio.max, 2)}, median "
-            f"{number(ratio.median, 2)}; below 1/4 in {percent(ratio.share_below_quarter)}, "
-            f"above 4 in {percent(ratio.share_above_four)} of the objects\n"
-        ),
-    ]
-
-
-def _distributions(findings: Findings) -> Table:
-    values = ("min", "q05", "q25", "median", "q75", "q95", "max", "std", "cv")
-    headings = ("score", "min", "5 %", "25 %", "median", "75 %", "95 %", "max", "std", "std/mean")
-    rows = []
-    for name in DISTRIBUTED:
-        distribution = getattr(findings.distributions, name)
-        rows.append([METRIC[name].label, *(getattr(distribution, value) for value in values)])
-    title = f"Objects (the {findings.n_matched} that both sides have, of all pairs together)"
-    return Table(title, headings, rows)
-
-
-def _objects_table(findings: Findings) -> Table:
-    """Objects that only one side has, by range and by class, and mean scores of the classes."""
-    ranges = findings.range_m
+def _groups_table(findings: Findings) -> Table:
+    """Surface and objects that only one side has, and mean scores, by range and by class."""
     rows: list[tuple[object, ...]] = []
-    for band in ranges.bands:
-        name = (
-            f"{band.from_m:.0f} to {band.to_m:.0f} m" if band.to_m else f"over {band.from_m:.0f} m"
-        )
-        rows.append((name, *_unmatched(band), None, None, None, None))
-    for group in (findings.classes or ())[:_MOST_CLASSES]:
-        means = [group.scores[score].mean for score in DISTRIBUTED]
-        n_both = f"{group.n_matched} ({group.scores['r_lambda'].n})"
-        rows.append((group.label, *_unmatched(group), n_both, *means))
-    title = (
-        "Objects by range and by the most frequent classes (median range of matched objects "
-        f"{number(ranges.median_matched, 1)} m, of unmatched ones "
-        f"{number(ranges.median_unmatched, 1)} m)"
+    for group in findings.groups:
+        counts = (group.n_real, group.n_not_found, group.n_sim, group.n_extra)
+        shares = (percent(group.missing_share), percent(group.invented_share))
+        scores = [group.scores[name] for name in QUADRANT_SCORES]
+        rows.append((group.name, *shares, *counts, *scores))
+    title = "By range and class (missing, invented: of the object points, within 0.3 m)"
+    headings = (
+        *("", "missing", "invented", "objects\nreal", "not\nfound", "objects\nsim", "extra"),
+        *labels(QUADRANT_SCORES),
     )
-    headings = ("", "real", "not found", "sim", "extra", "both\n(scored)", *labels(DISTRIBUTED))
     return Table(title, headings, rows)
-
-
-def _unmatched(group: Unmatched) -> tuple[object, ...]:
-    return (
-        group.n_real,
-        f"{group.n_not_found} ({percent(group.not_found_share)})",
-        group.n_sim,
-        f"{group.n_extra} ({percent(group.extra_share)})",
-    )

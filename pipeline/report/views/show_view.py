@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -14,19 +13,15 @@ from ....schemas.metric_catalogue import (
     reach_words,
     scores_in,
 )
-from ....stages.coverage import surface_state
 from ...results.best_case import RunExcess
 from ...results.finished import FinishedRun, pair_object, pair_values, run_values
-from ...results.object_frame import ALL_COLUMNS, UNKNOWN
+from ...results.object_frame import UNKNOWN
 from ...results.overview import alignment_is_bad
-from ...storage.urls import url_or_path
 from ..look import FATE_WORDS
 from ..view import Note, Part, Table, View, columns_of, number, percent, warnings
 from .run_view import summary_view
 
 _NEAR = "covered_0p3m"
-#: Columns of the table of objects that identify one.
-_KEYS = ("pair_id", "side", "community_id", "fate", "partner", "n_points")
 _COVERED = tuple(f"covered_{reach}" for reach in COVERAGE_REACHES)
 #: An object of which less surface is covered on a side is not called faithful.
 _LEAST_COVERED = 0.6
@@ -37,16 +32,11 @@ _OBJECT_COLUMNS = (
     *("n_points", "range_m", "cx", "cy", "cz", "extent_x", "extent_y", "extent_z"),
     *("linearity", "planarity", "scattering", "label", *_COVERED, "median_distance_m"),
 )
-#: Headings of the shares of rays.
-_OUTCOMES = {
-    "rays_same": "same",
-    "rays_in_front": "in front",
-    "rays_behind": "behind",
-    "rays_dropped": "dropped",
-    "rays_no_surface": "no\nsurface",
-    "rays_sim_only": "sim\nonly",
-}
-_RAY_GROUPS = ("all", "range", "incidence", "class")
+#: Outcomes of rays as shares, and the mean error of range.
+_RAYS = (
+    *("rays_same", "rays_in_front", "rays_behind", "rays_dropped", "rays_no_surface"),
+    *("rays_sim_only", "rays_bias_m"),
+)
 
 
 def show_view(
@@ -68,10 +58,7 @@ def show_view(
         return summary_view(run, excess, with_all=with_all)
     if name is not None:
         return object_view(pair_object(run, pair, name))
-    command = ""
-    if not with_all:
-        command = shlex.join(["fidpipe", "show", url_or_path(run.folder), pair, "--all"])
-    parts = pair_view(pair_values(run, pair), command)
+    parts = pair_view(pair_values(run, pair), with_all=with_all)
     return [*parts, *warnings((run.record.notes or {}).get(pair, ()))]
 
 
@@ -84,26 +71,13 @@ def show_json(
     return pair_values(run, pair) if name is None else pair_object(run, pair, name)
 
 
-def show_records(run: FinishedRun, pair: str | None, name: str | None) -> Table:
-    """A table for programs: one row per pair of a run, or per object and side of a pair."""
-    if pair is None:
-        columns = list(run.rows[0])
-        return Table("", columns, columns_of(run.rows, columns))
-    objects = pair_values(run, pair)["objects"] if name is None else [pair_object(run, pair, name)]
-    columns = [*_KEYS, *ALL_COLUMNS]
-    rows = []
-    for of_sides in objects:
-        rows += columns_of(filter(None, of_sides.values()), columns)
-    return Table("", columns, rows)
-
-
-def pair_view(values: Mapping[str, Any], command: str = "") -> View:
+def pair_view(values: Mapping[str, Any], *, with_all: bool = False) -> View:
     """A sentence on a pair, its sides, its rays, its matched objects worst first, the unmatched.
 
     Parameters
     ----------
     values : from `pair_values`
-    command : shows all unmatched objects; given if only the largest ones are to be shown here
+    with_all : all unmatched objects, not only the largest
     """
     row = values["pair"]
     if row["status"] != "scored":
@@ -115,7 +89,7 @@ def pair_view(values: Mapping[str, Any], command: str = "") -> View:
     if matched:
         words = "offset: distance between the centroids; align: RMS distance of the aligned nodes"
         parts.append(Note(words))
-    return [*parts, *_unmatched(objects, command)]
+    return [*parts, *_unmatched(objects, with_all=with_all)]
 
 
 def _pair_sentence(row: Row) -> str:
@@ -138,28 +112,20 @@ def _sides_table(row: Row) -> Table:
     for side in SIDES:
         rows.append([side, *(row[column.format(side)] for column in columns)])
     title = "Sides (within: share of the object points with one of the other side)"
-    return Table(title, headings, rows, digits={4: 2})
+    return Table(title, headings, rows)
 
 
 def _rays(reason: str | None, of_groups: Sequence[Row]) -> Part:
-    """Outcomes of the rays and errors of range by range, incidence and class; or why not."""
+    """Outcomes of the rays and error of range, of all and by range; or why there are none."""
     if reason:
         return Note(f"no rays: {reason}", "yellow")
-    scores = (*_OUTCOMES, "rays_bias_m", "rays_rmse_m")
     rows = []
-    for group in _RAY_GROUPS:
-        for row in [row for row in of_groups if row["by"] == group]:
-            band = row["band"] if group == "class" else _short(row["band"])
-            rows.append((band or "all", row["n_rays"], *(row[score] for score in scores)))
-    headings = ("rays", "number", *_OUTCOMES.values(), "bias", "RMSE")
-    title = "Rays (share of those with a return on either side), and simulated minus real range (m)"
-    return Table(title, headings, rows, digits=dict.fromkeys(range(2, 10), 2))
-
-
-def _short(band: str) -> str:
-    """`10-20m` for `10 to 20 m`: a column that does not wrap."""
-    short = band.replace(" to ", "-").replace("over ", ">")
-    return short.replace(" degrees", "°").replace(" m", "m")
+    for row in of_groups:
+        if row["by"] in ("all", "range"):
+            rows.append((row["band"] or "all", row["n_rays"], *(row[name] for name in _RAYS)))
+    title = "Rays (share of those with a return on either side), and simulated minus real range"
+    headings = ("rays", "number", *narrow_labels(_RAYS))
+    return Table(title, headings, rows, digits=2, whole=(0,))
 
 
 def _matched_table(matched: Sequence[Row]) -> Table:
@@ -167,45 +133,25 @@ def _matched_table(matched: Sequence[Row]) -> Table:
     columns = ("label", "community_id", "partner", "range_m", "n_real", "n_sim", *scores)
     rows = columns_of(matched, columns)
     title = "Objects that both sides have, largest r_lambda first"
-    digits = {3: 1}
-    digits |= dict.fromkeys(range(6, 6 + len(scores)), 2)
-    headings = [
-        "class",
-        "real",
-        "sim",
-        "range\n(m)",
-        "points\nreal",
-        "\nsim",
-        *narrow_labels(scores),
-    ]
-    return Table(title, headings, rows, digits=digits, whole=(0,))
+    headings = ["class", "real", "sim", "range\n(m)", "points\nreal", "\nsim"]
+    headings += narrow_labels(scores)
+    return Table(title, headings, rows, digits=2, whole=(0,))
 
 
-def _unmatched(objects: Sequence[Row], command: str) -> View:
-    """The unmatched objects, real ones first; only the largest if a command shows the others."""
+def _unmatched(objects: Sequence[Row], *, with_all: bool) -> View:
+    """The unmatched objects, real ones first; without `with_all` the largest ones."""
+    unmatched = [row for row in objects if row["fate"] != "matched"]
+    unmatched.sort(key=lambda row: (row["fate"] == "extra", -row["n_points"]))
     rows = []
-    left_out = []
-    for fate in ("not_found", "extra"):
-        of_fate = [row for row in objects if row["fate"] == fate]
-        of_fate.sort(key=lambda row: -row["n_points"])
-        n_shown = _MOST_UNMATCHED if command else len(of_fate)
-        for row in of_fate[:n_shown]:
-            name = f"{row['side']}:{row['community_id']}"
-            place = (row["range_m"], row["n_points"], row["cz"], row[_NEAR])
-            state = surface_state(row[_NEAR])
-            rows.append((row["label"], FATE_WORDS[fate], name, *place, state))
-        if len(of_fate) > n_shown:
-            left_out.append(f"{len(of_fate) - n_shown} more {FATE_WORDS[fate]}")
-    headings = (
-        *("class", "status", "object", "range\n(m)", "points", "centroid\nz (m)"),
-        *("within\n0.3 m", "surface"),
-    )
+    for row in unmatched[: None if with_all else _MOST_UNMATCHED]:
+        name = f"{row['side']}:{row['community_id']}"
+        place = (row["range_m"], row["n_points"], row["cz"], row[_NEAR])
+        rows.append((row["label"], FATE_WORDS[row["fate"]], name, *place))
+    headings = ("class", "status", "object", "range\n(m)", "points", "z (m)", "within\n0.3 m")
     title = "Objects that only one side has"
-    digits = {3: 1, 5: 1}
-    parts: list[Part] = [Table(title, headings, rows, (0, 1, 7), digits=digits, whole=(0,))]
-    if left_out:
-        parts.append(Note(f"{' and '.join(left_out)}, with fewer points: {command}"))
-    return parts
+    table = Table(title, headings, rows, (0, 1), digits=2, whole=(0,))
+    n_more = len(unmatched) - len(rows)
+    return [table, Note(f"{n_more} more: --all")] if n_more else [table]
 
 
 def object_view(rows: Mapping[str, Row | None]) -> View:
@@ -234,7 +180,7 @@ def object_view(rows: Mapping[str, Row | None]) -> View:
     covered = {"covered_real_0p3m": real[_NEAR], "covered_sim_0p3m": sim[_NEAR]}
     return [
         Note(judgement(row | covered)),
-        Table(title, headings, values, words=(0, 2), digits={1: 4}),
+        Table(title, headings, values, words=(0, 2), digits=4),
         table,
     ]
 

@@ -1,6 +1,6 @@
 // The comparison of runs: places in 3D, before and after side by side, coloured by the signed distance to the real side.
 
-import { byId, drawInView, paint, ready, report, startCharts } from "./draw.js";
+import { byId, drawInView, paint, report, start } from "./draw.js";
 import { cameraOn, dots, drawInSpace, extent, say, signedColour, signedLegend, turnTogether } from "./points.js";
 
 const MARGIN_M = 0.3;
@@ -33,5 +33,4 @@ for (const choice of document.querySelectorAll("select.place")) {
   choice.addEventListener("change", () => drawPlace(section, choice.value));
   drawPlace(section, 0);
 }
-startCharts();
-ready();
+start();

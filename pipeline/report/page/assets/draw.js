@@ -72,8 +72,8 @@ function redraw() {
   for (const id of drawn) jobs.get(id)();
 }
 
-export function startCharts() {
-  for (const [id, chart] of Object.entries(report.charts)) drawInView(id, () => draw(id, themed(chart)));
+// Follows the theme and the printer, hints at wide tables, and says that the page is complete.
+export function start() {
   const choice = byId("theme");
   const setTheme = (theme) => {
     if (theme === "auto") delete root.dataset.theme;
@@ -106,18 +106,15 @@ export function startCharts() {
     delete root.dataset.printing;
     redraw();
   });
+  for (const { nextElementSibling: box } of document.querySelectorAll(".scroll"))
+    for (const one of [box, box.firstElementChild]) widths.observe(one);
+  root.dataset.ready = "yes";
 }
 
 // Hints at columns on the right above each table that is wider than its place.
 const widths = new ResizeObserver((changes) => {
   for (const { target } of changes) {
-    const box = target.closest(".wide, .box");
+    const box = target.closest(".wide");
     box.previousElementSibling.hidden = box.scrollWidth <= box.clientWidth + 2;
   }
 });
-
-export const ready = () => {
-  for (const { nextElementSibling: box } of document.querySelectorAll(".scroll"))
-    for (const one of [box, box.firstElementChild]) widths.observe(one);
-  root.dataset.ready = "yes";
-};

@@ -1,28 +1,18 @@
 // The panel of a chosen object: its title, what is wrong with it, its numbers, and which of its points are drawn.
 
-import { byId, report } from "./draw.js";
+import { byId } from "./draw.js";
 import { objectTitle, SIDE_WORDS, say } from "./points.js";
-import { cellText, counted, element, shorten } from "./tables.js";
-
-const MOST_FIRST = 8;
+import { counted, element, shorten } from "./tables.js";
 
 // pair: {name, view, objects, points}; link: the address of both
 export function describe(pair, object, link) {
   say("panel_title", `Pair ${shorten(pair.name, 60)}, ${objectTitle(object)}`);
   byId("object_link").href = link;
   say("panel_sentence", object.sentence);
-  const isKnown = (key) => object[key] !== null || !(object.side || key === "reason");
-  const facts = report.facts.filter(isKnown).map((key) => factOf(object, key));
-  byId("panel_numbers").replaceChildren(...facts.slice(0, MOST_FIRST));
-  byId("more_numbers").replaceChildren(...facts.slice(MOST_FIRST));
-}
-
-function factOf(object, key) {
-  const column = report.columns[key];
-  const value = object[key];
-  const text = cellText(value, column);
-  const shownValue = element("span", text, { class: "value", "data-key": key, title: value ?? "no value" });
-  return element("div", null, {}, element("span", column.title, { class: "name" }), shownValue);
+  const facts = object.facts.map(([name, value]) =>
+    element("div", null, {}, element("span", name, { class: "name" }), element("span", value, { class: "value" })),
+  );
+  byId("panel_numbers").replaceChildren(...facts);
 }
 
 // places: of the drawn points by side.

@@ -2,11 +2,11 @@
 // An object is called by side and community: "real 3", "sim 7"; a matched one has one name, that of its real side.
 
 import { byId, draw, isDark, paint, report } from "./draw.js";
-import { element, number, records, shorten, shown } from "./tables.js";
+import { element, number, shorten, shown } from "./tables.js";
 
 export const SIDES = ["real", "sim"];
 export const SIDE_WORDS = { real: "real", sim: "simulated" };
-export const FAR = 255; // the distance to the other side is a byte, this one for report.far_m and more
+export const FAR = 255; // the byte of a point without a signed distance
 const LABELS_PX = { x: 140, y: 110 };
 const AXES = { x: "x forward (m)", y: "y left (m)", z: "z up (m)" };
 export const sideColour = (side) => paint(report.colours.sides[side]);
@@ -22,39 +22,34 @@ async function unpack(text, NumberArray) {
   return new NumberArray(await new Response(stream).arrayBuffer());
 }
 
-// Packed points in metres.
-async function unpackPoints(text, step_m) {
-  const metres = Float32Array.from(await unpack(text, Int16Array), (step) => step * step_m);
-  const n = metres.length / 3;
-  return { x: metres.subarray(0, n), y: metres.subarray(n, 2 * n), z: metres.subarray(2 * n) };
-}
-
-// Rows of the page as objects, with their fate, which communities they own on which side, and the side if only one.
+// Objects with the communities that they own by side, their fate, and their side if they have only one.
 export function objectsOf(view) {
-  return records(report.object_columns, view.objects).map((row) => {
+  return view.objects.map((row) => {
     const owns = Object.fromEntries(SIDES.map((side) => [side, row[`${side}_id`]]).filter(([, id]) => id >= 0));
     const [side, partner] = Object.keys(owns);
     return partner ? { ...row, owns, fate: "matched" } : { ...row, owns, side, fate: row.status };
   });
 }
 
-// By side the points, each with the place of its object among the objects (`object`), its distance to the other side
-// (`distance`), whether a piece that only one side has holds it (`piece`), if simulated its signed distance to the
-// planes of the real side (`signed`), and by place where the points of an object are (`ranges`); and the road points.
+// By side the points, each with the place of its object among the objects (`object`), whether a piece that only one
+// side has holds it (`piece`), if simulated its signed distance to the planes of the real side (`signed`), and by place
+// where the points of an object are (`ranges`); and the road points, which follow those of objects in the page.
 export async function pointsOf(view, objects) {
   const points = { road: {} };
   for (const side of SIDES) {
     const packed = view.sides[side];
-    points[side] = {
-      ...(await unpackPoints(packed.points, view.step_m)),
-      ...placesOf(packed, ownersOf(objects, side)),
-      distance: await unpack(packed.distance, Uint8Array),
-      piece: await unpack(packed.piece, Uint8Array),
-    };
-    points.road[side] = await unpackPoints(packed.road, view.step_m);
+    const metres = Float32Array.from(await unpack(packed.points, Int16Array), (step) => step * view.step_m);
+    const signed = packed.signed ? await unpack(packed.signed, Uint8Array) : undefined;
+    const places = placesOf(packed, ownersOf(objects, side));
+    const n = metres.length / 3;
+    const part = (from, to) => ({
+      ...xyz((axis) => metres.subarray("xyz".indexOf(axis) * n).subarray(from, to)),
+      signed: signed?.subarray(from, to),
+    });
+    const nObjects = places.object.length;
+    points[side] = { ...part(0, nObjects), ...places, piece: await unpack(packed.piece, Uint8Array) };
+    points.road[side] = part(nObjects, n);
   }
-  points.sim.signed = await unpack(view.sides.sim.signed, Uint8Array);
-  points.road.sim.signed = await unpack(view.sides.sim.road_signed, Uint8Array);
   return points;
 }
 
@@ -129,8 +124,6 @@ const signedWords = (step) =>
   step === FAR
     ? "no real plane next to it"
     : `${number(Math.abs(signedMetres(step)), 2)} m ${signedMetres(step) < 0 ? "behind" : "in front of"} the real surface`;
-export const distanceWords = (step) =>
-  step === FAR ? `${report.far_m} m or more` : `${number((step / FAR) * report.far_m, 2)} m`;
 
 // The colour of a signed distance to the real side in metres, null for none.
 export const signedColour = (metres) =>
@@ -174,17 +167,6 @@ export function colouring({ objects, points }, by) {
       ),
       legend: ["One colour per object; matched objects have the same on both sides.", swatch(none, "unmatched")],
     }),
-    distance: () => {
-      const shades = bytes.map((step) => rampColour(step / FAR, ramp));
-      return {
-        colours: ofPoints((side, i) => shades[points[side].distance[i]]),
-        words: (side, i) => `${distanceWords(points[side].distance[i])} to the other side`,
-        legend: [
-          rampBar("0 ", ramp, ` ${report.far_m} m or more to the nearest point of the other side`),
-          "Far real points are missing surface, far simulated ones invented surface.",
-        ],
-      };
-    },
     signed: () => {
       const shades = bytes.map((step) => signedColour(step === FAR ? null : signedMetres(step)));
       return {
@@ -197,10 +179,10 @@ export function colouring({ objects, points }, by) {
     },
   };
   if (by in kinds) return kinds[by]();
-  const { name, low, high } = report.scores[by];
-  const shade = (object) => (object[by] === null ? none : rampColour((object[by] - low) / (high - low), ramp));
-  const from = `${name}, 2 to 98 % of the run's objects: ${number(low, 2)} `;
-  return { colours: ofObjects(shade), legend: [rampBar(from, ramp, ` ${number(high, 2)} `), swatch(none, "no score")] };
+  const { name, limit } = report.scores[by];
+  const shade = (object) => (object[by] === null ? none : rampColour(object[by] / (2 * limit), ramp));
+  const to = ` ${number(2 * limit, 1)} or more; faithful up to ${limit}`;
+  return { colours: ofObjects(shade), legend: [rampBar(`${name} 0 `, ramp, to), swatch(none, "no score")] };
 }
 
 export function dots(name, color, size, { symbol = "circle", opacity = 1, ...more }) {

@@ -7,7 +7,6 @@ import {
   boxEdges,
   cameraOn,
   colouring,
-  distanceWords,
   dots,
   drawInSpace,
   extent,
@@ -44,9 +43,6 @@ const linkWithin = (pair, name) =>
 
 // Pairs that the page shows in 3D, worst first. A name may be any, also that of a property of all objects.
 const pairs = report.names.filter((name) => Object.hasOwn(report.views, name));
-
-// The address of a pair or of an object, or null if the page does not show it in 3D.
-export const linkTo = (pair, name) => (pairs.includes(pair) ? linkWithin(pair, name) : null);
 
 // Opens a pair without choosing an object; false if another one was requested meanwhile.
 async function openPair(name) {
@@ -185,10 +181,9 @@ function drawObject({ objects, points }, place, isNew) {
     data.push(dots(`others ${side}`, sideColour(side), 1.6, faint));
     const road = points.road[side];
     if (byId("show_road").checked) data.push(roadDots(side, road, insideOf(road, ranges), shades));
-    const text = places[side].map((i) => distanceWords(points[side].distance[i]));
-    const hovertemplate = `${SIDE_WORDS[side]}: %{x:.2f}, %{y:.2f}, %{z:.2f} m<br>%{text} to the other side<extra></extra>`;
+    const hovertemplate = `${SIDE_WORDS[side]}: %{x:.2f}, %{y:.2f}, %{z:.2f} m<extra></extra>`;
     const [symbol, size] = by !== "side" && side === "sim" ? ["diamond", 3.2] : ["circle", 2.2];
-    const look = { ...at(points[side], places[side]), text, hovertemplate, symbol };
+    const look = { ...at(points[side], places[side]), hovertemplate, symbol };
     data.push(dots(`own ${side}`, shades.colours(side, places[side]), size, look));
   }
   const camera = (!isNew && byId("overlay").layout?.scene?.camera) || cameraOn("overlay", ranges, ranges);

@@ -24,66 +24,35 @@ export function element(tag, text, attributes = {}, ...children) {
   return made;
 }
 
-export const records = (columns, rows) =>
-  rows.map((row) => Object.fromEntries(columns.map((column, i) => [column, row[i]])));
-
-// A value of a column as the page shows it.
-export function cellText(value, { digits }) {
-  return typeof value === "number" ? number(value, digits) : (value ?? NULL_SIGN);
-}
-
-// Order of two values, nulls last in both directions.
+// Order of two cells by their numbers or else their texts; those without a value come last in both directions.
 function order(a, b, isUp) {
-  if (a === null || b === null) return (a === null) - (b === null);
-  const step =
-    typeof a === "number" && typeof b === "number"
-      ? a - b
-      : String(a).localeCompare(String(b), "en", { numeric: true });
+  if (a === "-" || b === "-") return (a === "-") - (b === "-");
+  const step = Number.isNaN(a - b) ? a.localeCompare(b, "en", { numeric: true }) : a - b;
   return isUp ? step : -step;
 }
 
-// table: {keys, rows, note}; report.columns describes each key: {title, about, text, up, digits}
-// linkOf(row): the address that the row's first cell leads to, or null
-export function startTable(place, what, { keys, rows: lists, note }, linkOf) {
-  const rows = records(keys, lists);
-  const columns = keys.map((key) => ({ key, ...report.columns[key] }));
-  const state = { sort: null, isUp: true };
-  const part = (selector) => place.querySelector(selector);
-  const [filter, count, body] = ["input", ".count", "tbody"].map(part);
-  const heads = columns.map((column) => {
-    const title = column.about ? `${column.title}. ${column.about}` : column.title;
-    const button = element("button", column.title, { type: "button", title });
+// Makes the table of a place sort and filter. Words begin with the first, numbers with the largest.
+export function startTable(place) {
+  const [filter, count, body] = ["input", ".count", "tbody"].map((part) => place.querySelector(part));
+  const rows = [...body.rows];
+  const heads = [...place.querySelectorAll("th")];
+  heads.forEach((head, k) => {
+    const button = element("button", head.textContent, { type: "button", title: head.textContent });
+    head.replaceChildren(button);
     button.addEventListener("click", () => {
-      state.isUp = state.sort === column.key ? !state.isUp : column.text || column.up;
-      state.sort = column.key;
-      fill();
+      const before = head.ariaSort;
+      const isUp = before ? before === "descending" : head.className === "text";
+      for (const other of heads) other.ariaSort = null;
+      head.ariaSort = isUp ? "ascending" : "descending";
+      const textOf = (row) => row.cells[k].textContent;
+      body.append(...rows.sort((a, b) => order(textOf(a), textOf(b), isUp)));
     });
-    return element("th", null, { scope: "col", class: column.text ? "text" : "" }, button);
   });
-  part("thead tr").replaceChildren(...heads);
-  filter.addEventListener("input", fill);
-
-  function cellOf(row, column, isFirst) {
-    const text = cellText(row[column.key], column);
-    if (!column.text) return element("td", text);
-    const href = isFirst ? linkOf(row) : null;
-    const look = { class: "text", dir: "auto", title: shown(text) };
-    return href === null ? element("td", text, look) : element("td", null, look, element("a", text, { href }));
-  }
-
-  const rowText = (row) => columns.map((column) => cellText(row[column.key], column)).join(" ");
-
-  function fill() {
+  function choose() {
     const asked = filter.value.toLowerCase();
-    const chosen = rows.filter((row) => rowText(row).toLowerCase().includes(asked));
-    if (state.sort !== null) chosen.sort((a, b) => order(a[state.sort], b[state.sort], state.isUp));
-    body.replaceChildren(
-      ...chosen.map((row) => element("tr", null, {}, ...columns.map((column, k) => cellOf(row, column, k === 0)))),
-    );
-    heads.forEach((head, k) => {
-      head.setAttribute("aria-sort", columns[k].key !== state.sort ? "none" : state.isUp ? "ascending" : "descending");
-    });
-    count.textContent = `${counted(chosen.length)} of ${counted(rows.length)} ${what}. ${state.sort === null ? note : ""}`;
+    for (const row of rows) row.hidden = !row.textContent.toLowerCase().includes(asked);
+    count.textContent = `${counted(rows.filter((row) => !row.hidden).length)} of ${counted(rows.length)}`;
   }
-  fill();
+  filter.addEventListener("input", choose);
+  choose();
 }

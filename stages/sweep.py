@@ -1,0 +1,66 @@
+"""The returns of a scan in the order in which its beams were fired."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .arrays import BoolArray, FloatArray, IndexArray, azimuths_deg, level_m
+from .beam_patterns import BeamPattern
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Returns in beams, sorted by beam, then by azimuth.
+
+    beam : (m,) intp, row of the pattern's elevations
+    off_deg : (m,) float64, elevation above that of the beam
+    azimuth_deg, range_m : (m,) float64; range from the crossing point of the beams
+    row : (m,) intp, of the scan
+    """
+
+    beam: IndexArray
+    off_deg: FloatArray
+    azimuth_deg: FloatArray
+    range_m: FloatArray
+    row: IndexArray
+
+    @property
+    def gap_deg(self) -> FloatArray:
+        """Azimuth from each return to the next, (m - 1,) float64; NaN if the next is of another beam."""
+        return np.where(np.diff(self.beam) == 0, np.diff(self.azimuth_deg), np.nan)
+
+    @property
+    def nearer_m(self) -> FloatArray:
+        """The smaller range of each return and the next, (m - 1,) float64."""
+        return np.minimum(self.range_m[:-1], self.range_m[1:])
+
+    @property
+    def apart_m(self) -> FloatArray:
+        """Difference of the ranges of each return and the next, (m - 1,) float64."""
+        return np.abs(np.diff(self.range_m))
+
+    def first_returns(self, is_later: BoolArray) -> Sweep:
+        """The nearest of each group of returns that follow each other in one direction."""
+        ray = np.cumsum(~is_later)
+        order = np.lexsort((self.range_m, ray))
+        first = np.sort(order[np.flatnonzero(np.diff(ray[order], prepend=0))])
+        return self.chosen(first)
+
+    def chosen(self, rows: IndexArray | slice) -> Sweep:
+        """Some of the returns."""
+        return Sweep(*(values[rows] for values in vars(self).values()))
+
+
+def sweep_of(points: FloatArray, pattern: BeamPattern) -> Sweep:
+    """The returns of a scan that are in beams."""
+    beam, off_deg = pattern.beam_of(points)
+    row = np.flatnonzero(beam >= 0)
+    points = points[row]
+    azimuth_deg = azimuths_deg(points)
+    level = level_m(points) - pattern.focal_m
+    range_m = np.sqrt(level**2 + points[:, 2] ** 2)
+    order = np.lexsort((range_m, azimuth_deg, beam[row]))
+    row = row[order]
+    return Sweep(beam[row], off_deg[row], azimuth_deg[order], range_m[order], row)
