@@ -215,14 +215,14 @@ def doubts_of(real: SensorDescription, sim: SensorDescription) -> dict[str, str]
 
 
 def _finer_text(sensor: SensorDescription, other: SensorDescription) -> str | None:
-    """The doubt that a scan has several sweeps whose azimuths are evenly apart; None if its sensor has these steps."""
+    """The doubt that a scan has several sweeps whose azimuths are evenly apart; None if its model is no finer."""
     step_deg = sensor.azimuth_step_deg
     if not step_deg or not other.azimuth_step_deg or has_other_beams(sensor, other):
         return None
     ratio = other.azimuth_step_deg / step_deg
     n_sweeps = round(ratio)
     is_usual = any(
-        known.title in (sensor.model or "") and abs(step_deg / known.azimuth_step_deg - 1) < _ALIKE
+        known.title in (sensor.model or "") and step_deg / known.azimuth_step_deg > 1 - _ALIKE
         for known in SENSORS.values()
     )
     if n_sweeps < 2 or is_usual or abs(ratio / n_sweeps - 1) > _ALIKE:
