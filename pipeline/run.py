@@ -90,8 +90,7 @@ class RunOutcome:
     @property
     def rows(self) -> list[Row]:
         """The rows of `pairs`."""
-        rows: list[Row] = self.pairs.to_pylist()
-        return rows
+        return self.pairs.to_pylist()
 
     @property
     def failures(self) -> dict[str, str]:
@@ -222,7 +221,6 @@ class Run:
         self._jobs = plan_jobs(self.stages, self.settings)
         self._versions = {stage.name: stage.version for stage in self.stages}
         self._times_s = {pair.pair_id: pair.timestamp_s for pair in self.dataset.pairs}
-        self._last = last_results(self.before)
         self._wall_s: dict[str, float] = {}
         self._start = self._phase_start = perf_counter()
 
@@ -347,7 +345,7 @@ class Run:
         write_table(self.folder, "timings", timings_key, pair_ids, rows_of)
         self._end_phase("tables")
         self._wall_s["total"] = perf_counter() - self._start
-        record = self._record(header, pairs, self._last if is_same else None)
+        record = self._record(header, pairs, last_results(self.before) if is_same else None)
         self._write_record(record)
         n_made = self.collector.n_made
         n_reused = self.n_jobs - n_made

@@ -108,7 +108,7 @@ def write_table(
         stored = folder.write_at(folder.folder / file, name, parts, key)
         record = JobRecord(name, "", "", key, {file: stored})
         folder.ledger.put_job(record)
-    return folder.read(name, record.files[file], file)
+    return folder.read_table(name)
 
 
 def extra_entries(

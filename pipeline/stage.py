@@ -152,8 +152,7 @@ class Memo:
                 function(*arguments),
                 arguments,
             )  # kept, so that no other table gets the same id
-        value: Value = self._results[key][0]
-        return value
+        return self._results[key][0]
 
 
 @dataclass(frozen=True, kw_only=True)

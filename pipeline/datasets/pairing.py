@@ -383,19 +383,26 @@ def write_dataset(
     if _listed(manifest) != [row[:3] for row in rows]:
         content = csv_bytes(("pair_id", *SIDES, "timestamp_s"), rows)
         write_whole(manifest, content)
-    text = "1 pair" if len(rows) == 1 else f"{len(rows)} pairs"
+    n_unpaired = len(real.frames) + len(sim.frames) - 2 * len(pairing.real_ids)
+    unpaired = f"; frames without a partner: {n_unpaired}" if n_unpaired else ""
+    return f"{_how_paired(pairing, kept, manifest)}{unpaired}"
+
+
+def _how_paired(pairing: Pairing, kept: slice | IndexArray, manifest: Path) -> str:
+    gaps_s = np.abs(pairing.gaps_s[kept])
+    pairs = "1 pair" if len(gaps_s) == 1 else f"{len(gaps_s)} pairs"
     if pairing.by_name:
-        text += f" by name: {manifest}"
-    else:
-        gap_s = np.abs(pairing.gaps_s[kept]).max()
-        text += f" by time, at most {gap_s:.4f} s apart: {manifest}; clock offset {pairing.offset_s:+.4f} s"
+        return f"{pairs} by name: {manifest}"
+    text = (
+        f"{pairs} by time, at most {gaps_s.max():.4f} s apart: {manifest}; clock offset "
+        f"{pairing.offset_s:+.4f} s"
+    )
     if pairing.others_s:
         text += (
-            f", {len(pairing.others_s)} others such as {pairing.others_s[0]:+.4f} s pair as many: if it "
-            "is not the right one, set it with fidpipe pair --offset"
+            f", {len(pairing.others_s)} others such as {pairing.others_s[0]:+.4f} s pair as many: if "
+            "it is not the right one, set it with fidpipe pair --offset"
         )
-    n_unpaired = len(real.frames) + len(sim.frames) - 2 * len(pairing.real_ids)
-    return f"{text}; frames without a partner: {n_unpaired}" if n_unpaired else text
+    return text
 
 
 def _listed(manifest: Path) -> list[tuple[str, ...]]:

@@ -69,8 +69,7 @@ def one_blas_thread() -> AbstractContextManager[object]:
     import scipy.linalg  # noqa: F401  (brings the libraries whose threads are to be limited)
     from threadpoolctl import threadpool_limits
 
-    limits: AbstractContextManager[object] = threadpool_limits(1)
-    return limits
+    return threadpool_limits(1)
 
 
 def machine_memory() -> int:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ...schemas.columns import SIDES
 from ...schemas.errors import FidpipeError, RunError
 from ...schemas.metric_catalogue import QUADRANT_SCORES, scores_in
-from ..report.run_frames import points_of
+from ...stages.coverage import nearest_distances
 from ..storage.files import named_errors, write_whole
 from ..storage.table_files import file_stem
 
@@ -163,8 +163,11 @@ def pair_clouds(
     fate = objects["fate"].replace("remnant", "not_found")
     status = objects["status"].where(fate == "matched", fate)
     objects["status"] = status.map(STATUSES.index)
+    frames = {side: run.points(pair_id, side) for side in SIDES}
+    places = [rows.loc[~rows["is_ground"], ["x", "y", "z"]].to_numpy() for rows in frames.values()]
     clouds = {}
-    for side, rows in points_of(run, pair_id).items():
+    for (side, rows), distance_m in zip(frames.items(), nearest_distances(*places), strict=True):
+        rows.loc[~rows["is_ground"], "distance_m"] = distance_m
         side_objects = objects[objects["side"] == side]
         scores = side_objects[["community", *_DRAWN, "status"]]
         points = rows.assign(community=rows["community_id"].fillna(-1).astype(int))

@@ -8,9 +8,10 @@ missing twins.
 from __future__ import annotations
 
 import gc
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -98,32 +99,15 @@ def make_twins(
         this recipe.
     """
     require_ray_caster()
-    settings = recipe.settings
-    if settings.real_frame != "ros":
+    real_frame = recipe.settings.real_frame
+    if real_frame != "ros":
         raise FidpipeError(
-            f'input.real_frame: expected "ros", got "{settings.real_frame}": poses and beams of a '
+            f'input.real_frame: expected "ros", got "{real_frame}": poses and beams of a '
             f"recording require {FRAME_AXES['ros']}; convert its scans and poses first"
         )
     if out.resolve() == recording.folder.resolve():
         raise FidpipeError(f"dataset {out}: is the recording; expected a new or empty folder")
     frames = select_pairs(recording, pattern)
-    inputs = []
-    for frame in recording.pairs:
-        file = frame.scans["real"].file
-        inputs.append([file.name, hash_file(file), frame.T_world_sensor])
-    content = {
-        "version": RECIPE_VERSION,
-        **library_versions(("fidpipe",)),
-        "recording": str(recording.folder),
-        "inputs_sha256": key_of(inputs),
-        "seed": recipe.seed,
-        "others": recipe.n_others,
-        "flaw": [{"name": name, "amount": amount} for name, amount in recipe.flaws.items()],
-        "sensor": vars(recipe.sensor),
-        "input": settings.model_dump(mode="json", exclude_none=True),
-        "libraries": library_versions(_LIBRARIES),
-        "frames": [frame.pair_id for frame in frames],
-    }
     names = recording.label_names
     pairs = []
     for frame in frames:
@@ -141,9 +125,33 @@ def make_twins(
                 T_world_sensor=frame.T_world_sensor,
             )
         )
+    content = _recipe_content(recording, recipe, frames)
     return generate_dataset(
         out, RECIPE, content, pairs, names, _write_twin, reporter, workers=workers, replace=replace
     )
+
+
+def _recipe_content(
+    recording: Dataset, recipe: TwinRecipe, frames: Sequence[ScanPair]
+) -> dict[str, Any]:
+    """Everything that the twins of some frames depend on."""
+    inputs = []
+    for frame in recording.pairs:
+        file = frame.scans["real"].file
+        inputs.append([file.name, hash_file(file), frame.T_world_sensor])
+    return {
+        "version": RECIPE_VERSION,
+        **library_versions(("fidpipe",)),
+        "recording": str(recording.folder),
+        "inputs_sha256": key_of(inputs),
+        "seed": recipe.seed,
+        "others": recipe.n_others,
+        "flaw": [{"name": name, "amount": amount} for name, amount in recipe.flaws.items()],
+        "sensor": vars(recipe.sensor),
+        "input": recipe.settings.model_dump(mode="json", exclude_none=True),
+        "libraries": library_versions(_LIBRARIES),
+        "frames": [frame.pair_id for frame in frames],
+    }
 
 
 def _write_twin(task: _Task) -> None:

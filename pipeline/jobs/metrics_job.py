@@ -54,8 +54,7 @@ def pair_scores(
 
     def range_of(side: str, status: str) -> FloatArray:
         ids = matching.column(f"{side}_id").filter(pa.array(statuses == status)).to_numpy()
-        range_m: FloatArray = column(objects[side], "range_m")[ids]
-        return range_m
+        return column(objects[side], "range_m")[ids]
 
     return summarise_pair(
         {metric: metrics.column(metric).to_numpy() for metric in OBJECT_METRICS},

@@ -31,8 +31,7 @@ def score_pair(settings: Settings, tables: PairTables) -> Metadata:
     tables : ground of both sides, and tables of later stages that are not to be recomputed
     """
     _, outputs = run_in_memory(SCORING, settings, tables=tables)
-    scores: Metadata = outputs["metrics", ""][OF_PAIR]
-    return scores
+    return outputs["metrics", ""][OF_PAIR]
 
 
 def ground_table(points: FloatArray) -> pa.Table:

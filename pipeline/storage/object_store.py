@@ -114,8 +114,7 @@ def read_with_etag(url: str, etag: str = "") -> tuple[bytes, str]:
         answer = obstore.get(store, name, options=options)
         return bytes(answer.bytes()), str(answer.meta["e_tag"] or "")
 
-    content: tuple[bytes, str] = _tried(url, get)
-    return content
+    return _tried(url, get)
 
 
 def write_object(url: str, content: bytes, mode: Any = "overwrite") -> str:
@@ -137,8 +136,7 @@ def write_object(url: str, content: bytes, mode: Any = "overwrite") -> str:
         answer = obstore.put(store, name, content, mode=mode, use_multipart=False)
         return str(answer["e_tag"] or "")
 
-    etag: str = _tried(url, put)
-    return etag
+    return _tried(url, put)
 
 
 def delete_objects(url: str, names: Iterable[str]) -> None:

@@ -123,8 +123,7 @@ class JobRecord:
 
 def plain_metadata(metadata: dict[str, Any]) -> dict[str, Any]:
     """Metadata as read back from JSON: dictionaries for dataclasses, lists for tuples and arrays, Python's numbers."""
-    plain: dict[str, Any] = orjson.loads(orjson.dumps(metadata, option=orjson.OPT_SERIALIZE_NUMPY))
-    return plain
+    return orjson.loads(orjson.dumps(metadata, option=orjson.OPT_SERIALIZE_NUMPY))
 
 
 def file_stem(pair_id: str) -> str:

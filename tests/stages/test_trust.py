@@ -39,6 +39,7 @@ from fidpipe.stages.trust import (
     SAME_SWEEPS,
     STEPS,
     UNCROPPED,
+    UPRIGHT,
     alternation_text,
     cropped_box,
 )
@@ -160,6 +161,7 @@ def test_every_need_of_the_catalogue_can_be_in_doubt():
         STEPS,
         UNCROPPED,
         ROAD,
+        UPRIGHT,
         ENOUGH,
     }
 
