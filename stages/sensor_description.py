@@ -54,6 +54,7 @@ _HOLE = 5  # pulses that a gap within a surface may lack, at most
 _QUANTA_M = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.008, 0.005, 0.004, 0.003, 0.002, 0.001, 0.0005)
 _QUANTUM_RANGE_M = 30.0
 _LEAST_STEP_DEG = 0.02
+_NEXT_STEPS = 1.45  # farthest next firing
 _FINE_M = 0.0009  # coordinates that are rounded more show no quantum of ranges
 _RUN = 9  # returns of a beam one after the other
 _RUN_STEPS = 8  # from one return of a run to the next at most, if too few runs have no gap
@@ -350,7 +351,7 @@ def _azimuth_step(sweep: Sweep) -> float | str:
 def _firing_deg(sweep: Sweep, step_deg: float) -> float:
     """Mean azimuth between firings, by the returns without a lost one between them."""
     gap = sweep.gap_deg
-    return float(np.mean(gap[(gap > _LEAST_STEP_DEG) & (gap < 1.5 * step_deg)]))
+    return float(np.mean(gap[(gap > _LEAST_STEP_DEG) & (gap < _NEXT_STEPS * step_deg)]))
 
 
 def _spread(off_deg: FloatArray) -> float | None:

@@ -115,6 +115,6 @@ STAGE = Stage(
     settings=("input",),
     grain=Grain.PAIR,
     make=make_causes,
-    version=11,
+    version=12,
     libraries=("scikit-learn",),
 )

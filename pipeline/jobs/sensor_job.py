@@ -43,5 +43,5 @@ STAGE = Stage(
     grain=Grain.SIDE,
     make=make_sensor,
     takes_real=lambda settings: (SCAN,),
-    version=13,
+    version=14,
 )

@@ -62,6 +62,7 @@ _TOO_MANY_STRAYS = 0.09  # of mixed pixels
 _MISSING_ROAD = 0.5  # of the points of the real road
 _SPARSE = 0.15  # of the returns of the other side
 _OTHER_VIEW_DEG = 45.0
+_FEWEST_OF_BEAM = 100  # simulated returns per real beam, of which all beams are recognised
 _LOW_SHARE = 0.1  # of the points, below all those of the other side
 _ALIKE = 0.05  # azimuth steps
 _TILTS = [PARAMETERS.index("roll"), PARAMETERS.index("pitch")]
@@ -522,7 +523,7 @@ def _elevation_noise(real: Side, sim: Side, recorded: Side) -> Amount:
 
 
 def _beam_amount(real: Side, sim: Side, recorded: Side, explained: Explained) -> Amount:
-    """Beams more or fewer than the real sensor's; dead ones are counted if the simulated beams are not distinct.
+    """Beams more or fewer than the real sensor's; dead ones are counted if the simulated ones are not distinct, or few.
 
     Exchanged beams can appear as further ones. Beams that only see what a minimum range cuts off do not count.
     """
@@ -535,7 +536,7 @@ def _beam_amount(real: Side, sim: Side, recorded: Side, explained: Explained) ->
         n_sim = n_real
     elif not n_sim or (n_dead and not sim.sensor.is_sharp):
         n_sim = n_real - n_dead
-    elif n_sim < n_real:
+    elif n_sim < n_real and len(sim.points) < _FEWEST_OF_BEAM * n_real:
         n_sim = max(n_sim, n_real - n_dead)
     share = float(explained.is_dead.mean()) if n_dead else abs(n_sim - n_real) / n_real
     return _difference(n_real, n_sim, share)

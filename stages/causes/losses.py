@@ -16,7 +16,10 @@ _CELL_DEG = 2.0
 _N_AROUND = round(360.0 / _CELL_DEG)
 _N_CELLS = _N_AROUND * (_N_AROUND // 2 + 2)
 _EDGE_DEG = 0.15  # from a beam to the edge of a cell
-_FEWEST = 5  # returns of a cell that either side would have
+_FEWEST, _FEWEST_SIM = (
+    5,
+    2.5,
+)  # returns of a cell, and those that the simulated side would have of these
 _ALIKE = (
     0.1  # relative difference of the median ranges of a cell in which both sides see one surface
 )
@@ -44,8 +47,8 @@ def fit_losses(
     sim_cell = _cell_of(sim, edge_deg)[is_used_sim]
     n_real, real_range_m = medians_by_group(real.range_m[is_used_real], real_cell, _N_CELLS)
     n_sim, sim_range_m = medians_by_group(sim.range_m[is_used_sim], sim_cell, _N_CELLS)
-    n_per_sim = max(round(is_used_real.sum() / is_used_sim.sum()), 1)
-    has_both = (n_real >= _FEWEST * n_per_sim) & (n_sim > 0)
+    real_per_sim = max(is_used_real.sum() / is_used_sim.sum(), 1.0)
+    has_both = (n_real >= max(_FEWEST, _FEWEST_SIM * real_per_sim)) & (n_sim > 0)
     is_alike = has_both & (np.abs(sim_range_m - real_range_m) <= _ALIKE * real_range_m)
     n_real = n_real[is_alike]
     if not len(n_real):
@@ -55,7 +58,7 @@ def fit_losses(
         cell = real_cell[real.concerned(name)[is_used_real]]
         share = np.bincount(cell, minlength=_N_CELLS)[is_alike] / n_real
         n_of_kind = n_real[share > 0.5].sum()
-        if min(n_of_kind, n_real.sum() - n_of_kind) >= FEWEST_OF_KIND * n_per_sim:
+        if min(n_of_kind, n_real.sum() - n_of_kind) >= FEWEST_OF_KIND * real_per_sim:
             kinds[name] = share
     real_deg = real.sensor.firing_deg
     sim_deg = sim.sensor.firing_deg

@@ -337,7 +337,8 @@ def test_an_object_next_to_a_missing_one_is_moved_but_not_the_road_behind_it():
     is_ground = np.zeros(300, bool)
     seen = Side(box, is_ground, sensor)
     hidden = Side(box + [0.8, 0, 0], is_ground, sensor)
-    missing, invented = find_unmatched(seen, hidden, explain_directions(seen, hidden))
+    directions = explain_directions(seen, seen)  # both sides return in all
+    missing, invented = find_unmatched(seen, hidden, directions)
     assert missing.is_moved.mean() > 0.2
     assert invented.is_moved.mean() > 0.2
     behind = Side(np.vstack([box + [0.8, 0, 0], road]), np.arange(2300) >= 0, sensor)
