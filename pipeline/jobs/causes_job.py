@@ -115,6 +115,6 @@ STAGE = Stage(
     settings=("input",),
     grain=Grain.PAIR,
     make=make_causes,
-    version=12,
+    version=13,
     libraries=("scikit-learn",),
 )
