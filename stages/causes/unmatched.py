@@ -156,7 +156,7 @@ class Unmatched:
 def find_unmatched(a: Side, b: Side, explained: Explained) -> tuple[Unmatched, Unmatched]:
     """Points of both sides that are farther from the other side than 0.25 m and 1 % of their range or an azimuth step.
 
-    If the other side is sparser by a factor, the part of the range is larger by it. Road is not moved: it is seen
+    If the other side is less than half as dense, the part of the range is larger. Road is not moved: it is seen
     where an object is missing.
 
     Parameters
@@ -165,8 +165,8 @@ def find_unmatched(a: Side, b: Side, explained: Explained) -> tuple[Unmatched, U
     """
     step = np.radians(max(side.sensor.azimuth_step_deg or 0.0 for side in (a, b)))
     density = explained.real_per_sim
-    missing = _unmatched(a, b, max(step, APART_PER_M * max(density, 1.0)), explained.real)
-    invented = _unmatched(b, a, max(step, APART_PER_M / min(density, 1.0)), explained.sim)
+    missing = _unmatched(a, b, max(step, _apart_per_m(density)), explained.real)
+    invented = _unmatched(b, a, max(step, _apart_per_m(1.0 / density)), explained.sim)
     missing_objects = missing.is_part & ~a.is_ground
     invented_objects = invented.is_part & ~b.is_ground
     missing_points = a.points[missing_objects]
@@ -174,6 +174,11 @@ def find_unmatched(a: Side, b: Side, explained: Explained) -> tuple[Unmatched, U
     _mark_moved(missing, missing_objects, missing_points, invented_points)
     _mark_moved(invented, invented_objects, invented_points, missing_points)
     return missing, invented
+
+
+def _apart_per_m(density: float) -> float:
+    """Part of the range at a density relative to the other side: about in proportion to it beyond twice that."""
+    return APART_PER_M * max(1.5 * density - 2.0, 1.0)
 
 
 def _unmatched(side: Side, other: Side, apart_per_m: float, is_explained: BoolArray) -> Unmatched:
