@@ -168,7 +168,8 @@ def wobbling(points, rng):
     ]
 
 
-UNKNOWN = {flaw.__name__: flaw for flaw in (on_a_grid, bent)}
+#: Flaws outside of the catalogue, and the least part that is unexplained: a bend is in part a displacement.
+UNKNOWN = {"on_a_grid": (on_a_grid, 0.6), "bent": (bent, 0.4)}
 ALWAYS = [
     "forward",
     "motion forward",
@@ -265,7 +266,8 @@ def test_lowest_beams_that_are_dead_are_no_minimum_range(places):
 
 @pytest.mark.parametrize("name", some_of([*UNKNOWN], ["on_a_grid"]))
 def test_a_flaw_without_a_cause_is_unexplained(places, name):
-    pair = simulated(places[:1], UNKNOWN[name])[0]
+    flaw, least = UNKNOWN[name]
+    pair = simulated(places[:1], flaw)[0]
     own = estimate(pair)
     named = {
         cause.name: cause.estimate
@@ -275,7 +277,7 @@ def test_a_flaw_without_a_cause_is_unexplained(places, name):
     amounts = {cause: estimated.amount for cause, estimated in own.amounts.items()}
     made = corrections(pair, own.pose, amounts, named, rng)
     found = shares(pair, made, own.pose.displacement.seam_deg, rng, own.best_case_m)
-    assert found.after_m - own.best_case_m > 0.6 * (found.before_m - own.best_case_m) > 0
+    assert found.after_m - own.best_case_m > least * (found.before_m - own.best_case_m) > 0
     assert off_share(pair.real.points, pair.sim.points) > 0.05
 
 
