@@ -19,7 +19,10 @@ _WIDE_GAP_DEG = (30.0, 330.0)
 _DENSE_DEG = 0.35  # azimuth between returns up to which sectors are fine
 #: A point without a counterpart is farther from the other side than this, and this times its range.
 APART_M, APART_PER_M = 0.25, 0.01
-_CUT = 0.003  # of the points of beams that are not dead: nearer ones that a minimum range cuts off
+_CUT, _N_AROUND = (
+    0.003,
+    36,
+)  # of the points of beams that are not dead, and sectors, in which a minimum range cuts
 _CLUTTER_M = 6.0  # nearer returns without a real counterpart are clutter
 _CUT_M = 0.1  # beyond the nearest return, where cleaning may drop that of one side only
 _CLUSTER_M = 0.6
@@ -64,10 +67,10 @@ def explain_directions(real: Side, sim: Side) -> Explained:
         beam = real.sensor.beam_of(real.sensor_points)
         dead = dead_beams(real.sensor, real.chosen(~is_blind), sim)
         is_dead = np.isin(beam, dead)
-        if (is_near & ~is_dead).mean() > _CUT:
+        if _is_cut(real, is_near & ~is_dead):
             dead = dead_beams(real.sensor, real.chosen(~is_blind & ~is_near), sim)
             is_dead = np.isin(beam, dead)
-    is_near &= (is_near & ~is_dead).mean() > _CUT
+    is_near &= _is_cut(real, is_near & ~is_dead)
     return Explained(
         blind_deg=blind_deg,
         dead=dead,
@@ -77,6 +80,12 @@ def explain_directions(real: Side, sim: Side) -> Explained:
         real=is_blind | is_dead | is_near | is_exchanged_real,
         sim=is_exchanged_sim | is_unseen,
     )
+
+
+def _is_cut(side: Side, is_near: BoolArray) -> bool:
+    """True if the nearest points of a side are more than some, and around the sensor, as a minimum range cuts them."""
+    n_around = len(np.unique(_sector(side, _N_AROUND)[is_near]))
+    return bool(is_near.mean() > _CUT) and n_around > _N_AROUND / 2
 
 
 def least_range_m(side: Side) -> float:

@@ -307,14 +307,14 @@ def test_an_interval_without_differences_between_pairs_is_headed_so(n_pairs, hea
 def test_nothing_is_said_to_be_without_a_cause_where_many_are_unknown():
     few = Unknown(causes=("beams",), reason="why")
     many = Unknown(causes=tuple(CAUSES)[:20], reason="two sweeps")
-    assert no_cause_words([few]).endswith("two measurements of one scene; 1 of 37 are unknown")
-    assert no_cause_words([few, many]) == "no cause can be named: 21 of 37 are unknown (two sweeps)"
+    assert no_cause_words([few]).endswith("two measurements of one scene; 1 of 38 are unknown")
+    assert no_cause_words([few, many]) == "no cause can be named: 21 of 38 are unknown (two sweeps)"
 
 
 def test_no_more_causes_are_unknown_than_there_are():
     nothing = {name: Amount(None, reason="two sweeps") for name in CAUSES}
     unknown = unknown_causes(cause_values([nothing]))
-    assert no_cause_words(unknown) == "no cause can be named: 37 of 37 are unknown (two sweeps)"
+    assert no_cause_words(unknown) == "no cause can be named: 38 of 38 are unknown (two sweeps)"
 
 
 def test_pairs_that_disagree_name_nothing():
