@@ -69,7 +69,7 @@ def test_a_run_of_two_sweeps_names_them_and_no_cause(real_data, tmp_path):
     )
     printed = " ".join(finished.stdout.split())
     assert "Check first simulated scans (1 of 1): two or more sweeps" in printed
-    assert "no cause can be named: 34 of 37 are unknown" in printed
+    assert "no cause can be named: 36 of 38 are unknown" in printed
     assert "larger than the differences" not in printed
     run = open_run(out)
     assert run.causes.empty
