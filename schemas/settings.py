@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
@@ -60,6 +60,18 @@ def _split_words(value: Any) -> Any:
     return value.replace(",", " ").split() if isinstance(value, str) else value
 
 
+def _numbers(count: int) -> Callable[[Any], Any]:
+    """A function that splits a text into words, of which there must be so many."""
+
+    def split(value: Any) -> Any:
+        words = _split_words(value)
+        if isinstance(words, list | tuple) and len(words) != count:
+            raise ValueError(f"expected {count} numbers, got {value!r}")
+        return words
+
+    return split
+
+
 def _check_columns(value: tuple[str, ...]) -> tuple[str, ...]:
     if not {"x", "y", "z"} <= set(value) or len(set(value)) != len(value):
         raise ValueError("expected x, y and z among the names, and each name once")
@@ -78,11 +90,11 @@ _Columns = Annotated[
 ]
 _Box = Annotated[
     Annotated[Box, AfterValidator(_check_box)] | None,
-    BeforeValidator(_split_words, json_schema_input_type=Box | str),
+    BeforeValidator(_numbers(6), json_schema_input_type=Box | str),
 ]
 _Position = Annotated[
     tuple[float, float, float] | None,
-    BeforeValidator(_split_words, json_schema_input_type=tuple[float, float, float] | str),
+    BeforeValidator(_numbers(3), json_schema_input_type=tuple[float, float, float] | str),
 ]
 
 

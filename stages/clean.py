@@ -143,20 +143,34 @@ def seen_from(
     return np.column_stack([R, t - position + R @ position])
 
 
-def too_few_left(n_left: int, n_fewest: int, dropped: Mapping[str, int]) -> str:
+def too_few_left(
+    n_left: int,
+    n_fewest: int,
+    dropped: Mapping[str, int],
+    settings: InputSettings,
+) -> str:
     """Message for a scan with too few points after cleaning: counts by reason, and how to keep more.
 
     Examples
     --------
-    >>> too_few_left(5, 8, {"too_near": 9, "too_far": 2})
-    'expected at least 8 points after cleaning, got 5 (9 too near, 2 too far); check the export and the input settings'
+    >>> too_few_left(5, 8, {"too_near": 9, "too_far": 2}, InputSettings())
+    'expected at least 8 points after cleaning, got 5 (9 too near, 2 too far); lower input.min_range_m (now 2.5)'
     """
-    counts = [f"{n} {reason.replace('_', ' ')}" for reason, n in dropped.items() if n]
-    why = ", ".join(counts) or "no more in the file"
-    return (
-        f"expected at least {n_fewest} points after cleaning, got {n_left} ({why}); "
-        "check the export and the input settings"
-    )
+    counts = {reason: n for reason, n in dropped.items() if n}
+    reasons = [f"{n} {reason.replace('_', ' ')}" for reason, n in counts.items()]
+    why = ", ".join(reasons) or "no more in the file"
+    remedies = {
+        "too_near": f"lower input.min_range_m (now {settings.min_range_m:g})",
+        "too_far": "give the points in metres, in the sensor's frame",
+        "in_exclude_box": "shrink input.exclude_box",
+        "outside_include_box": "widen input.include_box",
+        "thinned": f"lower input.voxel_m (now {settings.voxel_m})",
+    }
+    if settings.max_range_m < InputSettings().max_range_m:
+        remedies["too_far"] += f", or raise input.max_range_m (now {settings.max_range_m:g})"
+    worst = max(counts, key=counts.__getitem__, default="")
+    remedy = remedies.get(worst, "check that the export is complete")
+    return f"expected at least {n_fewest} points after cleaning, got {n_left} ({why}); {remedy}"
 
 
 def inside(points: FloatArray, box: Box | None, *, default: bool = True) -> BoolArray:

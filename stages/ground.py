@@ -86,7 +86,7 @@ def remove_road(
         clean = clean_scan(points, settings.input, frame=frame, T_real_sim=T_real_sim)
     n_left = len(clean.points)
     if n_left < MIN_OBJECT_POINTS:
-        raise StageError(too_few_left(n_left, MIN_OBJECT_POINTS, clean.dropped))
+        raise StageError(too_few_left(n_left, MIN_OBJECT_POINTS, clean.dropped, settings.input))
     with watch("ground"):
         return clean, remove_ground(clean.points, settings.ground, real_cut, real_points)
 

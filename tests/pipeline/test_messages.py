@@ -72,7 +72,7 @@ SENTENCES = {
     ),
     StageError: (
         lambda folder: remove_road(np.zeros((1, 3)), Settings(), "real"),
-        "expected at least 8 points after cleaning, got 0 (1 zero); check the export and the input settings",
+        "expected at least 8 points after cleaning, got 0 (1 zero); check that the export is complete",
     ),
     OutOfTimeError: (
         use_up_the_time,

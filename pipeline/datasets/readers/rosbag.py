@@ -96,6 +96,12 @@ def _opened(file: Path) -> Any:
     from rosbags.rosbag2 import Reader as Ros2Reader
 
     reader = Ros1Reader if _is_ros1(file) else Ros2Reader
+    for path in file.iterdir() if file.is_dir() else [file]:
+        name = str(path.absolute())
+        if name.endswith(".db3") and not {*"%?#"}.isdisjoint(name):
+            raise ScanError(
+                f"{name}: expected a path without %, ? and #, which SQLite reads as parts of an address",
+            )
     return foxglove.opened(file) if _is_other_mcap(file) else reader(file)
 
 
