@@ -93,7 +93,7 @@ def _real_side(inputs: Inputs) -> tuple[GroundResult | None, FloatArray | None]:
     measures = {name: metadata[name] for name in _MEASURES}
     real = cut_scan(inputs.table("ground", "real"))
     cut = GroundResult(real.is_ground, real.height_m, np.array(metadata["axis"]), **measures)
-    return cut, real.points
+    return cut, None if inputs.settings.ground.shared else real.points
 
 
 STAGE = Stage(
