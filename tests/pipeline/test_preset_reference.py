@@ -20,7 +20,7 @@ from scenes import box, drifted, street, write_bin, write_pair
 def test_the_terminal_the_comparison_and_the_gate_take_it(by_reference):
     out = by_reference
     shown = command("show", out, "--all", code=0)
-    assert "Surface" in shown.stdout
+    assert "By range and class" in shown.stdout
     (comparison,) = compare_runs([out, out])
     assert comparison.on_partition == ""
     assert not comparison.unfollowed
