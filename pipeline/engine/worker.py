@@ -224,15 +224,17 @@ class JobRunner:
         )
 
     def _read(self, source: Source, step: Steps) -> pa.Table:
-        """A table that was made here, or is in the run's folder."""
+        """A table that was made here, or is in the run's folder: then without the names of pair and side."""
         name = source.table, source.side
         if name in self.tables:
             return self.tables[name]
         if name not in self._stored:
             path = table_name(source.table, self.plan.pair_id, source.side)
             stored = self.plan.records[source.maker].files[path]  # type: ignore[index]
+            table = TABLES[source.table]
+            columns = [column for column in table.schema.names if column not in table.of_file]
             with step("read"):
-                rows = self.plan.tables.read(source.table, stored, path)  # type: ignore[union-attr]
+                rows = self.plan.tables.read(source.table, stored, path, columns)  # type: ignore[union-attr]
             self._stored[name] = rows
         return self._stored[name]
 
