@@ -65,6 +65,17 @@ class Side:
         return azimuths_deg(self.points)
 
     @cached_property
+    def sorted_azimuth_deg(self) -> FloatArray:
+        """(n,) the azimuths, ascending."""
+        return np.sort(self.azimuth_deg)
+
+    @cached_property
+    def azimuth_gap_deg(self) -> float:
+        """Gap between neighbouring azimuths in which a random direction lies: the azimuth step of common columns."""
+        gap_deg = np.sort(np.diff(self.sorted_azimuth_deg))
+        return float(gap_deg[np.searchsorted(np.cumsum(gap_deg), gap_deg.sum() / 2)])
+
+    @cached_property
     def elevation_deg(self) -> FloatArray:
         """(n,) angle above the horizon."""
         return np.degrees(np.arcsin(self.rays[:, 2]))

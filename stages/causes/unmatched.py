@@ -95,7 +95,7 @@ def least_range_m(side: Side) -> float:
 
 def in_gap(side: Side, other: Side) -> BoolArray:
     """(n,) True for points of a side in the widest sector of azimuth without returns of the other, if it is wide."""
-    azimuth_deg = np.sort(other.azimuth_deg)
+    azimuth_deg = other.sorted_azimuth_deg
     gap_deg = np.diff(azimuth_deg, append=azimuth_deg[0] + 360.0)
     widest = int(gap_deg.argmax())
     if not _WIDE_GAP_DEG[0] < gap_deg[widest] < _WIDE_GAP_DEG[1]:
@@ -108,7 +108,7 @@ def _blind_directions(side: Side, other: Side) -> tuple[BoolArray, float]:
 
     Sectors are fine if both sides have several returns in them.
     """
-    is_dense = max(_azimuth_gap_deg(side), _azimuth_gap_deg(other)) <= _DENSE_DEG
+    is_dense = max(side.azimuth_gap_deg, other.azimuth_gap_deg) <= _DENSE_DEG
     width_deg = _FINE_SECTOR_DEG if is_dense else _SECTOR_DEG
     n_sectors = round(360 / width_deg)
     sector = _sector(side, n_sectors)
@@ -121,12 +121,6 @@ def _blind_directions(side: Side, other: Side) -> tuple[BoolArray, float]:
         most_left = _BLIND * expected if is_dense else 0.0
         is_blind &= (n_other <= most_left) & (expected >= _SECTOR_POINTS)
     return is_blind[sector] | in_gap(side, other), width_deg * float(is_blind.sum())
-
-
-def _azimuth_gap_deg(side: Side) -> float:
-    """Gap between neighbouring azimuths in which a random direction lies: the azimuth step of common columns."""
-    gap_deg = np.sort(np.diff(np.sort(side.azimuth_deg)))
-    return float(gap_deg[np.searchsorted(np.cumsum(gap_deg), gap_deg.sum() / 2)])
 
 
 def _sector(side: Side, n_sectors: int) -> IndexArray:
