@@ -123,8 +123,8 @@ class ChangedCause(Cause):
     """A cause that changed from one run to another by `estimate`.
 
     before, after : mean amounts of both runs, simulated minus real; null if unknown
-    verdict : "worse" or "better" for a cause of the sensor or its pose, "changed" if that cannot be told; "" for one of
-        the world, about which the families decide
+    verdict : "worse" or "better" for a cause of the sensor or its pose, "changed" if neither is established; "" for one
+        of the world, about which the families decide
     """
 
     before: float | None

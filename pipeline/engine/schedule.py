@@ -352,7 +352,7 @@ class Schedule:
         n_workers = self.pool.n_workers
         while self._waiting and len(self._running) < _TASKS_PER_WORKER * n_workers:
             task = self._waiting[0]
-            needs = [_most_bytes(each) for each in (task, *self._running.values())]
+            needs = [_most_bytes(queued) for queued in (task, *self._running.values())]
             if self._running and sum(heapq.nlargest(n_workers, needs)) > self._usable():
                 return
             self._waiting.popleft()

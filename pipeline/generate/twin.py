@@ -40,7 +40,7 @@ _LEAST_OTHERS = 2
 
 @dataclass(frozen=True)
 class TwinRecipe:
-    """How twins are made.
+    """Parameters from which twins are made.
 
     sensor : of the re-scan, with its range noise and share of lost pulses
     flaws : amounts by name, in the order in which they are applied

@@ -77,7 +77,7 @@ def sample_scan(
     sensor: SensorDescription | None,
     settings: InputSettings,
 ) -> SampledScan:
-    """What is compared of a scan; one that could not be read has no points.
+    """Sample of a scan for the checks of its side; without points if the scan could not be read.
 
     Parameters
     ----------

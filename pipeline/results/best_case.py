@@ -179,7 +179,8 @@ def _excess(run: FinishedRun, other: FinishedRun, of_pairs: pd.DataFrame) -> dic
 
     names = [*of_pairs.index]
     has_both = of_pairs.notna()
-    sim, real = [_values(one, names) for one in (run, other)]
+    sim = _values(run, names)
+    real = _values(other, names)
     apart = [double_validation_metric(real[column], sim[column]) for column in SCORES]
     summary = pd.DataFrame(apart, index=[*SCORES], dtype=np.float64).assign(
         n_pairs=has_both.sum(),

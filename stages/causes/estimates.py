@@ -26,11 +26,7 @@ from ..trust import (
     UPRIGHT,
     cropped_box,
 )
-from .beams import (
-    blurred_elevation_deg,
-    road_blur_deg2,
-    second_returns,
-)
+from .beams import blurred_elevation_deg, road_blur_deg2, second_returns
 from .distance import best_case_distance, distances, sample_rows, surface_distance
 from .losses import FEWEST_OF_KIND, fit_losses
 from .pose import Pose, fit_pose, undo_elevation_scale
@@ -215,7 +211,7 @@ def doubts_of(real: SensorDescription, sim: SensorDescription) -> dict[str, str]
 
 
 def _finer_text(sensor: SensorDescription, other: SensorDescription) -> str | None:
-    """The doubt that a scan has several sweeps whose azimuths are evenly apart; None if its model is no finer."""
+    """Doubt that one scan holds several sweeps with evenly spaced azimuths; None if its sensor model is as fine."""
     step_deg = sensor.azimuth_step_deg
     if not step_deg or not other.azimuth_step_deg or has_other_beams(sensor, other):
         return None

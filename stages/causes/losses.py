@@ -16,10 +16,8 @@ _CELL_DEG = 2.0
 _N_AROUND = round(360.0 / _CELL_DEG)
 _N_CELLS = _N_AROUND * (_N_AROUND // 2 + 2)
 _EDGE_DEG = 0.15  # from a beam to the edge of a cell
-_FEWEST, _FEWEST_SIM = (
-    5,
-    2.5,
-)  # returns of a cell, and those that the simulated side would have of these
+_FEWEST = 5  # real returns of a cell
+_FEWEST_SIM = 2.5  # returns that the simulated side would have in it
 _ALIKE = (
     0.1  # relative difference of the median ranges of a cell in which both sides see one surface
 )

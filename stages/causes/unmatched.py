@@ -89,7 +89,7 @@ def _is_cut(side: Side, is_near: BoolArray) -> bool:
 
 
 def least_range_m(side: Side) -> float:
-    """Range from which on a side has returns, but for one in a thousand, metres."""
+    """Range in metres below which a side has one in a thousand of its returns."""
     return float(np.quantile(side.range_m, 0.001))
 
 
