@@ -201,9 +201,7 @@ class Inputs:
         """A table of the pair, or of the side, from the columns of its parts without these, in their order."""
         table = TABLES[name]
         built = [table.build(self._of_file | part) for part in parts]
-        if len(built) == 1:
-            return built[0]
-        return pa.concat_tables([table.schema.empty_table(), *built]).combine_chunks()
+        return pa.concat_tables(built or [table.schema.empty_table()]).combine_chunks()
 
     @property
     def _of_file(self) -> Row:
