@@ -352,7 +352,7 @@ def _named_scan(folder: Path, name: str, side: str, stubs: Mapping[str, Path | s
     path = folder / name
     stub = Path(f"{path}{STUB}")
     try:
-        scan = scan_ref(stub if is_stub(stub) and stub.exists() else path)
+        scan = scan_ref(stub if stub.exists() and is_stub(stub) else path)
         if scan.exists:
             return scan
     except OSError as error:  # a name that no file can have
