@@ -152,14 +152,14 @@ class DaskPool(Pool):
     @property
     def n_workers(self) -> int:
         """Threads of all current workers, at least 1."""
-        return max(1, sum(int(worker["nthreads"]) for worker in self._workers_now().values()))
+        return max(1, sum(worker["nthreads"] for worker in self._workers_now().values()))
 
     @property
     def memory(self) -> Memory:
         """See `Pool`: of the current workers."""
         if self._memory is not None or self._address is None:
             return super().memory
-        limits = [int(worker["memory_limit"]) for worker in self._workers_now().values()]
+        limits = [worker["memory_limit"] for worker in self._workers_now().values()]
         if limits:  # while all are gone, those that come again are taken to be like them
             self._memory_there = Memory(
                 int(SHARE_OF_MEMORY * sum(limits)), int(SHARE_OF_MEMORY * min(limits))
@@ -352,8 +352,7 @@ def start_pool(
     memory = None if memory_gib is None else int(memory_gib * 2**30)
     n_workers = n_workers or CPU_COUNT
     if address is None:
-        if n_workers > 1:
-            n_workers = min(n_workers, costs.most_workers(memory or machine_memory()))
+        n_workers = min(n_workers, costs.most_workers(memory or machine_memory()))
         if n_workers == 1 and not may_end_workers:
             return Pool(memory)
         _check_address_space()

@@ -7,14 +7,11 @@ import signal
 from pathlib import Path
 from typing import Any
 
-_LIBRARIES = (
+#: POT brings scikit-learn, which brings most of SciPy.
+_MODULES = (
     "distributed.nanny",
-    "distributed.worker",
     "ot",
-    "scipy.ndimage",
     "scipy.signal",
-    "scipy.stats",
-    "sklearn.linear_model",
     "sknetwork.clustering",
     "fidpipe.pipeline.engine.worker",
     "fidpipe.stages.causes.estimates",
@@ -22,7 +19,7 @@ _LIBRARIES = (
 
 # Searching what is imported for garbage takes a third of the time, and workers would do it again.
 gc.disable()
-for name in _LIBRARIES:
+for name in _MODULES:
     importlib.import_module(name)
 gc.freeze()
 gc.enable()

@@ -56,11 +56,9 @@ class Ledger:
 
     def pair_ids(self) -> list[str]:
         """The pairs with finished jobs or a failure, by name."""
-        if not self._folder.is_dir():
-            return []
-        stems = [path.stem for path in self._folder.glob("[!._]*.json")]
         names = []
-        for stem in stems:
+        for path in self._folder.glob("[!._]*.json"):
+            stem = path.stem
             entry = self._entry(stem) if "~" in stem else _PairEntry(unquote(stem))
             if entry is not None:
                 names.append(entry.pair_id)

@@ -161,11 +161,7 @@ class TableFolder:
         self.folder = folder
         self.token = token
         self.url = url
-
-    @property
-    def token_path(self) -> Path:
-        """The file that names the run which may write here."""
-        return self.folder / TOKEN
+        self._token_path = folder / TOKEN
 
     def write_job(self, record: JobRecord, tables: dict[str, pa.Table]) -> None:
         """Write the tables of a finished job, and add their files to its record.
@@ -192,7 +188,7 @@ class TableFolder:
 
         Parameters
         ----------
-        rows : checked against the table's schema; or parts of them, in their order
+        rows : which the writer checks against the table's schema; or parts of them, in their order
         key : of the result, for the footer
         """
         schema = TABLES[table]
@@ -207,10 +203,11 @@ class TableFolder:
         sink = pa.BufferOutputStream()
         with pq.ParquetWriter(sink, schema.schema, **options) as writer:
             for part in parts:
-                writer.write_table(schema.check(part))
+                writer.write_table(part)
             writer.add_key_value_metadata(footer)
         content = memoryview(sink.getvalue())
-        return self._store(path, content, hashlib.sha256(content).hexdigest())
+        sha256 = hashlib.sha256(content).hexdigest()
+        return StoredFile(len(content), sha256, self._store(path, content))
 
     def read(
         self, table: str, stored: StoredFile, name: str, columns: list[str] | None = None
@@ -257,9 +254,9 @@ class TableFolder:
             raise self.damaged(name)
         return content
 
-    def _store(self, path: Path, content: memoryview, sha256: str) -> StoredFile:
+    def _store(self, path: Path, content: memoryview) -> int:
         write_whole(path, content, outlasts_power=False)
-        return StoredFile(len(content), sha256, path.stat().st_mtime_ns)
+        return path.stat().st_mtime_ns
 
     def damaged(self, name: str, cause: str = "") -> RunError:
         """The error of a file that is not as it was stored."""
@@ -272,12 +269,12 @@ class TableFolder:
 
     def put_token(self) -> None:
         """Name the run of this token as the only one that may write."""
-        self.token_path.write_text(self.token)
+        self._token_path.write_text(self.token)
 
     def check_token(self) -> None:
         """Raises `RunError` where another run has taken over the folder."""
         try:
-            token = self.token_path.read_text()
+            token = self._token_path.read_text()
         except FileNotFoundError:
             token = ""
         self._compare(token)
@@ -305,9 +302,9 @@ class TablesAtUrl(TableFolder):
             self._compare(read_object(f"{self.url}/{TOKEN}").decode())
             _CHECKED[self.token] = monotonic()
 
-    def _store(self, path: Path, content: memoryview, sha256: str) -> StoredFile:
+    def _store(self, path: Path, content: memoryview) -> int:
         write_object(f"{self.url}/{path.relative_to(self.folder).as_posix()}", bytes(content))
-        return StoredFile(len(content), sha256, 0)
+        return 0
 
 
 _CHECKED: dict[str, float] = {}
