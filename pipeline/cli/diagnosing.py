@@ -26,7 +26,7 @@ def diagnose(
     sources: Annotated[list[Path], typer.Argument(metavar="RUN | REAL SIM")],
     workers: Workers = None,
     scheduler: Scheduler = None,
-    since: Annotated[Path | None, typer.Option(metavar="RUN")] = None,
+    since: Path | None = None,
     tell_apart: bool = False,
     best_case: BestCase = None,
     assignments: Assignments = None,
@@ -81,7 +81,7 @@ def diagnose(
         from ..report.views.compare_view import changed_since
         from ..results.compare import compare_runs
 
-        (comparison,) = compare_runs([since, sources[0]], reporter=Reporter())
+        (comparison,) = compare_runs([since, sources[0]])
         view += changed_since(comparison)
         values |= {"since": str(since), "changes": comparison.as_dict()["causes"]}
     if as_json:
@@ -162,8 +162,9 @@ def tasks(
         view = views.odometry_view(rows)
         values = [*rows]
     else:
-        view = tasks_view(finished.task_summaries)
-        values = [summary.as_dict() for summary in finished.task_summaries]
+        finished.refuse_without_tasks()
+        view = tasks_view(finished.record.tasks)
+        values = [summary.as_dict() for summary in finished.record.tasks]
     if as_json:
         print_json(values)
     else:
