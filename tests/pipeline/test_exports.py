@@ -220,7 +220,7 @@ def test_other_mcap_files_are_named_with_their_topics(tmp_path):
         read_scan(path)
     content = path.read_bytes()
     path.write_bytes(content[: len(content) // 2])
-    with pytest.raises(ScanError, match=r"a\.mcap: not a whole recording"):
+    with pytest.raises(ScanError, match=r"a\.mcap: damaged or of another format"):
         read_scan(path)
 
 

@@ -111,10 +111,11 @@ def scan_from_columns(
     by_name = {name: in_lower_case[alias] for name, alias in source.items()}
     numbers: dict[str, FloatArray] = {}
     for name, column in by_name.items():
-        if column.ndim != 1:
+        is_label = name == "label"
+        if column.ndim != 1 or (not is_label and column.dtype.kind in _NO_NUMBERS):
             kind = f"{column.dtype} values of shape {column.shape}"
             raise ScanError(f"{path}: column {name}: expected one real number per row, got {kind}")
-        if name != "label":
+        if not is_label:
             numbers[name] = _numbers(path, name, column)
     lengths = {len(column) for column in by_name.values()}
     if len(lengths) > 1:
@@ -254,30 +255,29 @@ def _notes(names: Set[str], has_intensity: bool, rings: IntArray | None) -> tupl
 
 
 def _numbers(path: Path, name: str, column: NDArray[Any]) -> FloatArray:
-    if column.dtype.kind in _NO_NUMBERS:
-        raise ScanError(
-            f"{path}: column {name}: expected one real number per row, got {column.dtype} values",
-        )
     try:
-        with np.errstate(
-            over="ignore",
-            invalid="ignore",
-        ):  # what float64 does not hold is infinite or NaN
+        # what float64 does not hold is infinite or NaN
+        with np.errstate(over="ignore", invalid="ignore"):
             return column.astype(np.float64)
     except (TypeError, ValueError, OverflowError):
-        for row, value in enumerate(column.tolist()):
-            try:
-                float(value)
-            except (TypeError, ValueError, OverflowError):
-                text = cause_of(repr(value))
-                if re.fullmatch(r"[-\d ]+,\d+", str(value)):
-                    text += "; is it a decimal comma? write decimal points"
-                raise ScanError(
-                    f"{path}: row {row + 1}, column {name}: expected a number, got {text}",
-                ) from None
+        rows = enumerate(column.tolist(), start=1)
+        row, value = next((row, value) for row, value in rows if not is_number(value))
+        hint = ""
+        if re.fullmatch(r"[-\d ]+,\d+", str(value)):
+            hint = "; is it a decimal comma? write decimal points"
         raise ScanError(
-            f"{path}: column {name}: expected numbers, got type {column.dtype}",
+            f"{path}: row {row}, column {name}: expected a number, got "
+            f"{cause_of(repr(value))}{hint}"
         ) from None
+
+
+def is_number(value: Any) -> bool:
+    """True for a number or the text of one."""
+    try:
+        float(value)
+    except (TypeError, ValueError, OverflowError):
+        return False
+    return True
 
 
 def _instance_numbers(numbers: FloatArray | None) -> IntArray | None:
