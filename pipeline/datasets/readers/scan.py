@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Set
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -138,7 +138,7 @@ def scan_from_columns(
         rings=rings,
         times_s=times_s,
         label_names=label_names or {},
-        notes=_notes(in_lower_case.keys(), "intensity" in numbers, rings),
+        notes=_notes(source.get("ring"), rings),
     )
 
 
@@ -236,22 +236,15 @@ def _are_rings(points: FloatArray, numbers: IntArray) -> bool:
     return bool(spreads_deg) and float(np.median(spreads_deg)) <= _MAX_RING_SPREAD_DEG
 
 
-def _notes(names: Set[str], has_intensity: bool, rings: IntArray | None) -> tuple[str, ...]:
+def _notes(ring_column: str | None, rings: IntArray | None) -> tuple[str, ...]:
     """Notes of a scan, see `Scan`."""
-    notes = []
-    if "laser_number" in names and rings is not None and rings.max(initial=-1) >= _ARGOVERSE_BEAMS:
-        notes.append(
-            f"laser numbers up to {rings.max()}: two fused sensors of {_ARGOVERSE_BEAMS} beams "
-            "(Argoverse, VLP-32C), in the vehicle's frame; for beams and rays, write numbers "
-            f"below {_ARGOVERSE_BEAMS} alone, in their frame"
-        )
-    colours = sorted(names & {"rgb", "rgba", "red"})
-    if colours and not has_intensity:
-        notes.append(
-            f"no intensity, but colours ({colours[0]}): if their red is the intensity (OpenCOOD), "
-            "write it as a column intensity"
-        )
-    return tuple(notes)
+    if ring_column != "laser_number" or rings is None or rings.max(initial=-1) < _ARGOVERSE_BEAMS:
+        return ()
+    return (
+        f"laser numbers up to {rings.max()}: two fused sensors of {_ARGOVERSE_BEAMS} beams "
+        "(Argoverse, VLP-32C), in the vehicle's frame; for beams and rays, write numbers "
+        f"below {_ARGOVERSE_BEAMS} alone, in their frame",
+    )
 
 
 def _numbers(path: Path, name: str, column: NDArray[Any]) -> FloatArray:
