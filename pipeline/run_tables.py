@@ -97,7 +97,6 @@ def write_table(
     ----------
     rows_of : returns the rows of a pair
     """
-    file = f"{name}.parquet"
     record = folder.ledger.jobs("").get((name, ""))
     if record is None or record.key != key or folder.damaged_files(record):
         names = sorted(pair_ids)
@@ -105,9 +104,7 @@ def write_table(
         parts = (
             TABLES[name].from_rows(chain.from_iterable(map(rows_of, group))) for group in groups
         )
-        stored = folder.write_at(folder.folder / file, name, parts, key)
-        record = JobRecord(name, "", "", key, {file: stored})
-        folder.ledger.put_job(record)
+        folder.write_table(name, parts, key)
     return folder.read_table(name)
 
 

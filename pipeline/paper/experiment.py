@@ -185,9 +185,8 @@ class _ExperimentRun(Run):
 
     def write_results(self, scans: Mapping[str, Metadata]) -> None:
         """Write the record of an experiment that has ended."""
-        self._end_phase("total")
-        wall_s = sum(self._wall_s.values())
         failures = self.collector.failures
+        wall_s = self.wall_s["total"]
         self._write_record(self._header(), scans=scans, failures=failures, wall_s=wall_s)
 
     def _write_record(self, record: RunHeader, **results: Any) -> None:
@@ -213,9 +212,7 @@ def _write_tables(
     tables[summary] = TABLES[summary].from_rows(_means(frames))
     key = key_of(sorted(record.key for record in records))
     for name, table in tables.items():
-        file_name = f"{name}.parquet"
-        stored = folder.write_at(folder.folder / file_name, name, table, key)
-        folder.ledger.put_job(JobRecord(name, "", "", key, {file_name: stored}))
+        folder.write_table(name, table, key)
     return tables
 
 
