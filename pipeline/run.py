@@ -49,6 +49,7 @@ from .run_tables import (
     extra_entries,
     few_of_each,
     pair_rows,
+    parts_of_table,
     records_of,
     timing_rows,
     write_table,
@@ -337,12 +338,14 @@ class Run:
             self._write_record(header)
         pair_ids = {pair.pair_id for pair in self.usable}
         rows_of = partial(pair_rows, self.folder, self._jobs, failures)
-        pairs = write_table(self.folder, "pairs", key, pair_ids | failures.keys(), rows_of)
+        parts = parts_of_table("pairs", pair_ids | failures.keys(), rows_of)
+        pairs = write_table(self.folder, "pairs", key, parts)
         # where nothing was made, all rows are reused
         made_by = self.folder.token if self.collector.n_made else ""
         timings_key = key_of(key, list(self._versions), made_by)
         rows_of = partial(timing_rows, self.folder, self.stages)
-        write_table(self.folder, "timings", timings_key, pair_ids, rows_of)
+        parts = parts_of_table("timings", pair_ids, rows_of)
+        write_table(self.folder, "timings", timings_key, parts)
         self._end_phase("tables")
         self._wall_s["total"] = perf_counter() - self._start
         record = self._record(header, pairs, last_results(self.before) if is_same else None)

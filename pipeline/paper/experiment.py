@@ -29,11 +29,11 @@ from ..engine.progress import Reporter
 from ..engine.worker import PairTables, run_in_memory
 from ..jobs import STAGES, baselines_job
 from ..run import Run
-from ..run_tables import records_of
+from ..run_tables import records_of, write_table
 from ..stage import SCAN, Grain, Inputs, JobResult, Metadata, Stage
 from ..storage.files import key_of
 from ..storage.folder import RunFolder, check_folder
-from ..storage.run_record import write_record
+from ..storage.run_record import library_versions, write_record
 from ..storage.table_files import JobRecord
 
 #: From the tables of all pairs by name, frames with a row per score and its `value`.
@@ -204,18 +204,14 @@ def _write_tables(
     scores: Scores,
 ) -> dict[str, pa.Table]:
     """Join the tables of all pairs, summarise them, and write both; returns them by name."""
+    key = key_of(library_versions(["fidpipe"]), sorted(record.key for record in records))
     tables = {}
     for name in stage.gives:
         parts = [folder.read_table(name, record.pair_id) for record in records]
-        tables[name] = pa.concat_tables([TABLES[name].schema.empty_table(), *parts])
+        tables[name] = write_table(folder, name, key, parts)
     frames = scores({name: table.to_pandas() for name, table in tables.items()})
     summary = f"{stage.name}_summary"
-    tables[summary] = TABLES[summary].from_rows(_means(frames))
-    key = key_of(sorted(record.key for record in records))
-    for name, table in tables.items():
-        file_name = f"{name}.parquet"
-        stored = folder.write_at(folder.folder / file_name, name, table, key)
-        folder.ledger.put_job(JobRecord(name, "", "", key, {file_name: stored}))
+    tables[summary] = write_table(folder, summary, key, TABLES[summary].from_rows(_means(frames)))
     return tables
 
 
