@@ -225,11 +225,6 @@ class Run:
         self._wall_s: dict[str, float] = {}
         self._start = self._phase_start = perf_counter()
 
-    @property
-    def title(self) -> str:
-        """The run in messages."""
-        return f"run {self.folder.folder}"
-
     def survey_results(self, from_stage: str | None = None, *, replace: bool = False) -> None:
         """Find out what there is to do; the parameters are those of `run_dataset`."""
         self._hash_files()
@@ -317,7 +312,7 @@ class Run:
             stages = [stage for stage in self.stages if stage.name in names]
             why = what_changed(self.before, self.settings, stages)
             if why:
-                refuse_overwrite(self.title, jobs_in_words(lost), why)
+                refuse_overwrite(f"run {self.folder.folder}", jobs_in_words(lost), why)
 
     def _plan(self, pair: ScanPair) -> PairPlan:
         """The jobs of a pair under the current settings."""
