@@ -61,9 +61,8 @@ def pair_warnings(
     """
     name = f"pair {pair.pair_id}"
     warnings = []
-    for side in SIDES:
-        if side in sides:
-            warnings += [f"{name}: {pair.scans[side]}: {text}" for text in sides[side].warnings]
+    for side, inspection in sides.items():
+        warnings += [f"{name}: {pair.scans[side]}: {text}" for text in inspection.warnings]
     if len(sides) == len(SIDES):
         gaps = sorted((inspection.azimuth_gap_deg, side) for side, inspection in sides.items())
         (narrow_deg, narrow), (wide_deg, wide) = gaps

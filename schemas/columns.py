@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import islice
 from typing import Any
 
 import pyarrow as pa
@@ -17,7 +16,6 @@ SIDE_NAMES = {"real": "real", "sim": "simulated"}
 FARTHEST_M = 1e9
 #: A row of a table by column; the schema of the table has names and types.
 Row = dict[str, Any]
-_CHUNK_ROWS = 5000
 
 
 @dataclass(frozen=True)
@@ -78,11 +76,7 @@ class Table:
 
     def from_rows(self, rows: Iterable[Row]) -> pa.Table:
         """Build a checked table from dictionaries, sorted by the table's keys (nulls last); absent values are null."""
-        remaining = iter(rows)
-        chunks = [self.schema.empty_table()]
-        while part := list(islice(remaining, _CHUNK_ROWS)):  # dictionaries need much memory
-            chunks.append(pa.Table.from_pylist(part, schema=self.schema))
-        table = pa.concat_tables(chunks)
+        table = pa.Table.from_pylist(list(rows), schema=self.schema)
         return self.check(table.sort_by([(key, "ascending") for key in self.keys]))
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .arrays import BoolArray, FloatArray, IndexArray, azimuths_deg, level_m
+from .arrays import BoolArray, FloatArray, IndexArray, azimuths_deg, level_m, sorted_rows
 from .beam_patterns import BeamPattern
 
 
@@ -61,6 +61,6 @@ def sweep_of(points: FloatArray, pattern: BeamPattern) -> Sweep:
     azimuth_deg = azimuths_deg(points)
     level = level_m(points) - pattern.focal_m
     range_m = np.sqrt(level**2 + points[:, 2] ** 2)
-    order = np.lexsort((range_m, azimuth_deg, beam[row]))
+    order = sorted_rows(beam[row], azimuth_deg, range_m)
     row = row[order]
     return Sweep(beam[row], off_deg[row], azimuth_deg[order], range_m[order], row)

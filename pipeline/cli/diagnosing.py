@@ -10,7 +10,6 @@ import typer
 from .options import (
     AsJson,
     Assignments,
-    BestCase,
     RunFolder,
     Scheduler,
     Workers,
@@ -28,7 +27,6 @@ def diagnose(
     scheduler: Scheduler = None,
     since: Path | None = None,
     tell_apart: bool = False,
-    best_case: BestCase = None,
     assignments: Assignments = None,
     as_json: AsJson = False,
 ) -> None:
@@ -49,7 +47,6 @@ def diagnose(
         need no pairs.
     since : Run of an earlier build on the same real scans.
     tell_apart : Test if a classifier can distinguish real and simulated points.
-    best_case : With --tell-apart: best case whose second measurements are compared.
 
     Examples
     --------
@@ -66,9 +63,9 @@ def diagnose(
     if tell_apart:
         if since:
             raise typer.BadParameter("--since is for causes; leave out --tell-apart")
-        _tell_apart(sources, best_case, assignments, as_json=as_json)
+        _tell_apart(sources, assignments, as_json=as_json)
         return
-    if len(sources) > 1 or best_case or assignments:
+    if len(sources) > 1 or assignments:
         raise typer.BadParameter("expected one run and no option of --tell-apart")
     from ..diagnose.diagnose import diagnose_run
     from ..diagnose.diagnosis_view import diagnosis_view
@@ -90,9 +87,7 @@ def diagnose(
         print_view(view)
 
 
-def _tell_apart(
-    sources: list[Path], best_case: Path | None, assignments: list[str] | None, *, as_json: bool
-) -> None:
+def _tell_apart(sources: list[Path], assignments: list[str] | None, *, as_json: bool) -> None:
     from ...schemas.settings import load
     from ..diagnose.diagnosis_view import tell_apart_view
     from ..diagnose.tell_apart import tell_apart_folders, tell_apart_run
@@ -101,11 +96,10 @@ def _tell_apart(
     if len(sources) == 1:
         if assignments:
             raise typer.BadParameter("a run has its settings; leave out --set")
-        second = FinishedRun(best_case) if best_case else None
-        values = tell_apart_run(FinishedRun(sources[0]), second)
+        values = tell_apart_run(FinishedRun(sources[0]))
     else:
-        if len(sources) > 2 or best_case:
-            raise typer.BadParameter("expected one run, or two folders without --best-case")
+        if len(sources) > 2:
+            raise typer.BadParameter("expected one run, or two folders")
         values = tell_apart_folders(sources[0], sources[1], load(None, assignments or []))
     if as_json:
         print_json({"tell_apart": values})

@@ -130,8 +130,7 @@ def _paired(real: Path, sim: Path) -> tuple[Timeline, Timeline, Pairing]:
     except DatasetError as error:
         if is_recording:
             raise
-        by_time = f" (by time: {error})" if scans_in(real) and scans_in(sim) else ""
-        raise DatasetError(f"{_no_partner(real, sim)}{by_time}") from error
+        raise DatasetError(f"{_no_partner(real, sim)} (by time: {error})") from error
     return *lines, pair_times(lines[0].times_s, lines[1].times_s, TOLERANCE_S)
 
 

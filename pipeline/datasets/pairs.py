@@ -314,7 +314,7 @@ def local_folder(name: str) -> Path:
 
     Raises
     ------
-    DatasetError
+    StoreError
         The URL cannot be read.
     """
     if not is_url(name):

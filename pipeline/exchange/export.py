@@ -7,7 +7,6 @@ scalar fields as CloudCompare names them. All numbers keep 64 bits.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib.util import find_spec
 from itertools import product
@@ -247,6 +246,4 @@ def _write_bag(
                     if topic not in connections:
                         connections[topic] = writer.add_connection(topic, kind, typestore=store)
                     writer.write(connections[topic], time_ns, store.serialize_cdr(message, kind))
-            with (bag / "bag.mcap").open("rb") as file:
-                os.fsync(file.fileno())
             (bag / "bag.mcap").replace(path)

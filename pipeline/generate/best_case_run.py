@@ -18,11 +18,13 @@ import pyarrow.parquet as pq
 from ...schemas.columns import FARTHEST_M
 from ...schemas.errors import RunError, ScanError
 from ...schemas.settings import InputSettings, Settings
+from ...stages.arrays import FloatArray
 from ...stages.clean import as_ros, clean_scan
 from ...stages.generate.second_measurement import fill_gaps, remeasure
-from ...stages.sensor_description import NO_GAPS, describe_with_gaps
-from ..datasets.pairs import LABEL_NAMES, MANIFEST, Dataset, ScanPair, read_dataset
+from ...stages.sensor_description import NO_GAPS, SurfaceGaps, describe_with_gaps
+from ..datasets.pairs import LABEL_NAMES, MANIFEST, Dataset, read_dataset
 from ..datasets.readers import read_scan
+from ..datasets.readers.scan import Scan
 from ..engine.engine import Machines
 from ..engine.pool import one_blas_thread
 from ..engine.progress import Reporter
@@ -42,8 +44,7 @@ from ..storage.table_files import file_stem
 from ..storage.urls import name_in_records, recorded_path
 
 RECIPE_VERSION = 3  # increase it when the same recipe results in other measurements
-DEFAULT_NOISE_M = 0.03  # if it cannot be measured on a scan
-DEFAULT_LOST_SHARE = 0.03
+_DEFAULTS = (0.03, 0.03)  #: range noise in metres and lost share, if they cannot be measured
 #: Every measured point: the settings of the run crop both sides in the same way.
 _ALL = InputSettings(min_range_m=0.0, max_range_m=FARTHEST_M)
 
@@ -145,77 +146,73 @@ def _write_dataset(
         for pair, path in reporter.counted(wanted, len(wanted)):
             real = sim = str(pair.real.absolute()) if pair.real else ""
             try:
-                table, used = _remeasured(pair, recipe, settings, source.label_names)
+                scan = read_scan(
+                    pair.scans["real"], settings.columns_of("real"), source.label_names
+                )
             except ScanError:  # reported by the run, which reads the real scan on both sides
                 path.unlink(missing_ok=True)
             else:
+                of_scan, gaps = _amounts_of(scan, recipe, settings)
+                rng = np.random.default_rng([recipe.seed, *pair.pair_id.encode()])
                 content = BytesIO()
-                pq.write_table(table, content)
+                pq.write_table(_remeasured(scan, of_scan, gaps, rng), content)
                 write_whole(path, content.getbuffer())
-                amounts.append(used)
+                amounts.append(of_scan)
                 sim = f"sim/{path.name}"
             rows.append((pair.pair_id, real, sim, pair.timestamp_s))
     if amounts and AS_MEASURED in (recipe.noise_m, recipe.lost_share):
-        _report_amounts(amounts, reporter)
+        _report_amounts(np.array(amounts), reporter)
     write_whole(folder / MANIFEST, csv_bytes(["pair_id", "real", "sim", "timestamp_s"], rows))
 
 
-def _report_amounts(amounts: list[tuple[float, float, str]], reporter: Reporter) -> None:
-    """Show the medians of noise and losses; warn of scans where they cannot be measured."""
+def _report_amounts(amounts: FloatArray, reporter: Reporter) -> None:
+    """Show the medians of noise and losses of all scans; warn of those where they cannot be measured."""
+    is_unknown = np.isnan(amounts)
+    noise_m, lost_share = np.median(np.where(is_unknown, _DEFAULTS, amounts), axis=0)
     n_scans = len(amounts)
-    noise_m, lost_share = np.median([row[:2] for row in amounts], axis=0)
     reporter.say(
         f"range noise {1e3 * noise_m:.0f} mm, dropout {lost_share:.1%} (median of {n_scans} scans)"
     )
-    reasons = [row[2] for row in amounts if row[2]]
-    if reasons:
+    n_unknown = np.count_nonzero(is_unknown.any(axis=1))
+    if n_unknown:
         reporter.warn(
-            f"{len(reasons)} of {n_scans} real scans: noise or losses cannot be measured ({reasons[0]}); "
-            f"used {DEFAULT_NOISE_M:g} m and {DEFAULT_LOST_SHARE:.0%}; set --noise-m and --dropout"
+            f"{n_unknown} of {n_scans} real scans: noise or losses cannot be measured; used "
+            f"{_DEFAULTS[0]:g} m and {_DEFAULTS[1]:.0%}; set --noise-m and --dropout"
         )
 
 
-def _remeasured(
-    pair: ScanPair,
-    recipe: BestCaseRecipe,
-    settings: InputSettings,
-    label_names: dict[int, str],
-) -> tuple[pa.Table, tuple[float, float, str]]:
-    """One measurement: x, y, z, labels and instances if the scan has them; its noise, losses and what was assumed.
+def _amounts_of(
+    scan: Scan, recipe: BestCaseRecipe, settings: InputSettings
+) -> tuple[FloatArray, SurfaceGaps]:
+    """Range noise and lost share of a measurement, NaN if unknown, and the gaps whose pulses return.
 
     A second measurement loses other pulses than the first. If losses are those of the scan, the
     pulses that it lost within surfaces return; otherwise losses would add up to twice the share.
     """
-    scan = read_scan(pair.scans["real"], settings.columns_of("real"), label_names)
-    noise_m = recipe.noise_m
-    lost_share = recipe.lost_share
-    gaps = NO_GAPS
-    reasons = []
-    if AS_MEASURED in (noise_m, lost_share):
-        axes = as_ros(scan.points, settings.frame_of("real"))
-        sensor, gaps_of_scan = describe_with_gaps(axes, scan.rings)
-        if noise_m == AS_MEASURED:
-            noise_m = sensor.range_noise_m or 0.0
-            if sensor.range_noise_m is None:
-                noise_m = DEFAULT_NOISE_M
-                reasons.append(sensor.why_unknown("range_noise_m"))
-        if lost_share == AS_MEASURED:
-            lost_share = sensor.lost_share or 0.0
-            gaps = gaps_of_scan
-            if sensor.lost_share is None:
-                lost_share = DEFAULT_LOST_SHARE
-                gaps = NO_GAPS
-                reasons.append(sensor.why_unknown("lost_share"))
+    points = as_ros(scan.points, settings.frame_of("real"))
+    sensor, gaps = describe_with_gaps(points, scan.rings)
+    noise_m, lost_share = recipe.noise_m, recipe.lost_share
+    is_restored = lost_share == AS_MEASURED and sensor.lost_share is not None
+    amounts = [
+        sensor.range_noise_m if noise_m == AS_MEASURED else noise_m,
+        sensor.lost_share if lost_share == AS_MEASURED else lost_share,
+    ]
+    return np.array(amounts, dtype=np.float64), gaps if is_restored else NO_GAPS
+
+
+def _remeasured(
+    scan: Scan, amounts: FloatArray, gaps: SurfaceGaps, rng: np.random.Generator
+) -> pa.Table:
+    """One measurement: x, y, z, labels and instances if the scan has them."""
+    noise_m, lost_share = np.where(np.isnan(amounts), _DEFAULTS, amounts)
     clean = clean_scan(scan.points, _ALL)
     filled, filled_ids = fill_gaps(scan.points, *gaps)
-    rng = np.random.default_rng([recipe.seed, *pair.pair_id.encode()])
     all_points = np.concatenate([clean.points, filled])
-    points, kept = remeasure(all_points, float(noise_m), float(lost_share), rng)
+    points, kept = remeasure(all_points, noise_m, lost_share, rng)
     rows = np.concatenate([clean.point_ids, filled_ids])[kept]
     columns = dict(zip("xyz", points.T, strict=True))
     if scan.labels is not None:
         columns["label"] = scan.labels[rows]
     if scan.instances is not None:
         columns["instance"] = scan.instances[rows]
-    known_reasons = dict.fromkeys(filter(None, reasons))
-    return pa.table(columns), (float(noise_m), float(lost_share), "; ".join(known_reasons))
+    return pa.table(columns)

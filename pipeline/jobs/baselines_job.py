@@ -53,7 +53,7 @@ def make_baselines(inputs: Inputs) -> JobResult:
             real_scan = coordinates(inputs.table("ground", "real"))
             values += nvs(real_scan, coordinates(inputs.table("ground", "sim")))
     rows += [_row(value, None, None) for value in values]
-    return JobResult({"baselines": inputs.rows("baselines", rows)}, {"means": _means(rows)})
+    return JobResult(inputs.rows("baselines", rows), {"means": _means(rows)})
 
 
 def summarise_baselines(records: Iterable[JobRecord], settings: Settings) -> dict[str, Any]:

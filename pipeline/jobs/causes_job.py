@@ -41,7 +41,7 @@ def make_causes(inputs: Inputs) -> JobResult:
     rows = []
     for name, cause in CAUSES.items():
         rows.append({"cause": name, "unit": cause.unit} | vars(amounts.get(name, unknown)))
-    return JobResult({"causes": inputs.rows("causes", rows)}, {OF_PAIR: distances, POSE: pose})
+    return JobResult(inputs.rows("causes", rows), {OF_PAIR: distances, POSE: pose})
 
 
 def _doubts(inputs: Inputs) -> dict[str, str]:

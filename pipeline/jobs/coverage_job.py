@@ -31,7 +31,7 @@ def make_coverage(inputs: Inputs) -> JobResult:
         parts.append(_columns(whole) | {"side": side})
         for reach, share in zip(COVERAGE_REACHES, whole.covered[0].tolist(), strict=True):
             of_pair[f"covered_{side}_{reach}"] = share
-    return JobResult({"coverage": inputs.columns("coverage", *parts)}, {OF_PAIR: of_pair})
+    return JobResult(inputs.columns("coverage", *parts), {OF_PAIR: of_pair})
 
 
 def _columns(coverage: Coverage) -> Row:

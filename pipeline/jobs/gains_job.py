@@ -50,7 +50,7 @@ def _result(inputs: Inputs, gains: Shares) -> JobResult:
         DISTANCES: [gains.before_m, gains.after_m, gains.best_case_m],
         AMOUNTS: dict(inputs.arguments),
     }
-    return JobResult({"gains": inputs.rows("gains", rows)}, metadata)
+    return JobResult(inputs.rows("gains", rows), metadata)
 
 
 def gains_stage(amounts: dict[str, float]) -> Stage:

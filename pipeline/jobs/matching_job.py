@@ -35,7 +35,7 @@ def make_matching(inputs: Inputs) -> JobResult:
         {"status": "not_found", "real_id": matching.not_found},
         {"status": "extra", "sim_id": matching.extra},
     )
-    table = inputs.columns("matching", *parts)
+    table = inputs.columns("matching", *parts)["matching"]
     table = table.sort_by([("real_id", "ascending"), ("sim_id", "ascending")])
     n_keep = np.minimum(n_real[matching.real_ids], n_sim[matching.sim_ids])
     matched = list(zip(matching.real_ids.tolist(), n_keep.tolist(), strict=True))

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 import pyarrow as pa
 
-from ...schemas.columns import SIDES, Row
+from ...schemas.columns import Row
 from ...schemas.metric_catalogue import OBJECT_METRICS
-from ...schemas.results import Number
 from ...stages.arrays import FloatArray
 from ...stages.metrics import score_object
 from ...stages.summary import summarise_pair
@@ -32,37 +29,27 @@ def make_metrics(inputs: Inputs) -> JobResult:
             "n_keep": len(nodes.real_nodes),
         }
         rows.append(row | vars(score_object(real, sim, nodes, watch=inputs.step)))
-    return JobResult({"metrics": inputs.rows("metrics", rows)})
+    return JobResult(inputs.rows("metrics", rows))
 
 
 def gather_metrics(inputs: Inputs, tables: Tables) -> Metadata:
-    """The pair's columns of `pairs`."""
-    objects = {side: inputs.table("objects", side) for side in SIDES}
-    return {OF_PAIR: pair_scores(tables["metrics"], inputs.table("matching"), objects)}
-
-
-def pair_scores(
-    metrics: pa.Table, matching: pa.Table, objects: Mapping[str, pa.Table]
-) -> dict[str, Number]:
-    """Counts, match rate, ranges, and means over the matched objects.
-
-    Parameters
-    ----------
-    objects : by side
-    """
+    """The pair's columns of `pairs`: counts, match rate, ranges, and means over the matched objects."""
+    metrics = tables["metrics"]
+    matching = inputs.table("matching")
     statuses = np.array(matching.column("status").to_pylist(), dtype=object)
 
     def range_of(side: str, status: str) -> FloatArray:
         ids = matching.column(f"{side}_id").filter(pa.array(statuses == status)).to_numpy()
-        return column(objects[side], "range_m")[ids]
+        return column(inputs.table("objects", side), "range_m")[ids]
 
-    return summarise_pair(
-        {metric: metrics.column(metric).to_numpy() for metric in OBJECT_METRICS},
+    of_pair = summarise_pair(
+        {metric: column(metrics, metric) for metric in OBJECT_METRICS},
         metrics.column("status").to_pylist(),
         range_of("real", "matched"),
         range_of("real", "not_found"),
         range_of("sim", "extra"),
     )
+    return {OF_PAIR: of_pair}
 
 
 STAGE = Stage(

@@ -38,7 +38,7 @@ def make_seeds(inputs: Inputs) -> JobResult:
     by_score: Metadata = {}
     for name in SEEDED_SCORES:
         by_score[name] = [row[name] for row in rows]
-    return JobResult({"seeds": inputs.rows("seeds", rows)}, {"scores": by_score})
+    return JobResult(inputs.rows("seeds", rows), {"scores": by_score})
 
 
 def summarise_seeds(records: Iterable[JobRecord], settings: Settings) -> dict[str, Any]:

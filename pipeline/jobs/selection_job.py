@@ -20,7 +20,7 @@ def make_selection(inputs: Inputs) -> JobResult:
             "sim_point_id": sim.point_ids[kept.sim_nodes],
         }
         parts.append(columns | {name: match[name] for name in ("real_id", "sim_id")})
-    return JobResult({"selection": inputs.columns("selection", *parts)})
+    return JobResult(inputs.columns("selection", *parts))
 
 
 STAGE = Stage(

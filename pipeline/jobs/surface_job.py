@@ -23,10 +23,10 @@ def make_surface(inputs: Inputs) -> JobResult:
         objects = measure_offsets(real_surface, sim_surface, labels)
     ids = np.arange(len(objects.n_points))
     of_objects = _columns(objects) | {"real_id": ids}
-    table = inputs.columns("surface", of_objects, _columns(whole))
-    (shift,) = table.select(SHIFT_COLUMNS).slice(len(ids)).to_pylist()
+    tables = inputs.columns("surface", of_objects, _columns(whole))
+    (shift,) = tables["surface"].select(SHIFT_COLUMNS).slice(len(ids)).to_pylist()
     roughness = compare_roughness(real_surface, sim_surface)
-    return JobResult({"surface": table}, {OF_PAIR: shift | roughness})
+    return JobResult(tables, {OF_PAIR: shift | roughness})
 
 
 def _columns(offsets: Offsets) -> Row:

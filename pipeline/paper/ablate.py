@@ -85,7 +85,7 @@ def make_ablation(inputs: Inputs) -> JobResult:
                 tables, _ = run_in_memory(PARTITION, used, tables=ground)
             summary = score_pair(used, tables)
             rows.append(parameters._asdict() | {name: summary[name] for name in _SUMMARY})
-    return JobResult({"ablate": inputs.rows("ablate", rows)})
+    return JobResult(inputs.rows("ablate", rows))
 
 
 STAGE = experiment_stage("ablate", 4, ("ablate",), make_ablation)

@@ -159,6 +159,12 @@ class RunFolder(TableFolder):
             frames[source] = pa.concat_tables(tables).to_pandas().assign(pair=pair)
         return frames
 
+    def write_table(self, table: str, rows: pa.Table | Iterable[pa.Table], key: str) -> None:
+        """Write a table of the whole run, or parts of it, and add it to the ledger under its key."""
+        name = f"{table}.parquet"
+        stored = self.write_at(self.folder / name, table, rows, key)
+        self.ledger.put_job(JobRecord(table, "", "", key, {name: stored}))
+
     def again(self) -> str:
         """The command that recomputes what is damaged."""
         dataset = read_run(self.folder).get("dataset", "DATASET")
@@ -190,14 +196,14 @@ class RunFolder(TableFolder):
         known = self.ledger.files()
         n_intact = 0
         for table in TABLES:
-            names = [f"{table}.parquet"] if (self.folder / f"{table}.parquet").is_file() else []
+            names = {f"{table}.parquet"}
             if (self.folder / table).is_dir():
-                with os.scandir(self.folder / table) as entries:
-                    files = [entry for entry in entries if not entry.is_dir(follow_symlinks=False)]
-                names += [f"{table}/{entry.name}" for entry in files]
-            for name in set(names) - known:
-                (self.folder / name).unlink()
-                n_intact += "/." not in name
+                names |= {f"{table}/{path.name}" for path in (self.folder / table).iterdir()}
+            for name in names - known:
+                path = self.folder / name
+                if path.is_file():
+                    path.unlink()
+                    n_intact += "/." not in name
         return n_intact
 
 

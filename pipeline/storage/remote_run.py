@@ -24,7 +24,7 @@ from typing import Any
 import orjson
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from ...schemas.errors import DatasetError, FidpipeError, RunError, StoreError
+from ...schemas.errors import FidpipeError, RunError, StoreError
 from ...schemas.tables import TABLES
 from .files import file_marks, is_locked, write_whole
 from .ledger import INPUT_HASHES, LEDGER, Ledger
@@ -78,22 +78,19 @@ def local_of(url: str) -> Path:
 
     Raises
     ------
-    DatasetError
+    StoreError
         The URL cannot be read.
     """
-    try:
-        _prepare_cache()
-        run = RemoteRun(url)
-        if run.is_in_use:
-            return run.folder
-        objects = [] if run.url.startswith("http") else list_objects(run.url)
-        names = {stored.name for stored in objects}
-        if not names & {RUN_JSON, LOCK}:
-            return mirror_dataset(run.url, objects)
-        run.pull(objects)
+    _prepare_cache()
+    run = RemoteRun(url)
+    if run.is_in_use:
         return run.folder
-    except StoreError as error:
-        raise DatasetError(str(error)) from error
+    objects = [] if run.url.startswith("http") else list_objects(run.url)
+    names = {stored.name for stored in objects}
+    if not names & {RUN_JSON, LOCK}:
+        return mirror_dataset(run.url, objects)
+    run.pull(objects)
+    return run.folder
 
 
 class RemoteRun:

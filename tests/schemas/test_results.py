@@ -17,10 +17,9 @@ def test_a_record_that_is_read_and_written_again_is_the_same_to_the_byte(record)
     assert json.dumps(RunRecord.from_dict(record).as_dict()) == json.dumps(record)
 
 
-def test_a_record_without_findings_keeps_an_empty_object(record):
-    read = RunRecord.from_dict(record | {"findings": {}})
-    assert read.findings is None
-    assert read.as_dict()["findings"] == {}
+def test_a_record_without_findings_keeps_a_null(record):
+    read = RunRecord.from_dict(record | {"findings": None})
+    assert read.as_dict()["findings"] is None
 
 
 def test_what_a_later_version_adds_is_passed_on(record):

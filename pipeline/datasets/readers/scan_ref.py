@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from decimal import Decimal
 from pathlib import Path
 
 from ....schemas.errors import ScanError
@@ -74,8 +75,7 @@ class ScanRef:
         """Time of the frame; None if it is named by a number, or not at all."""
         if self.frame is None or "." not in self.frame:
             return None
-        seconds, _, rest = self.frame.partition(".")
-        return int(seconds) * _NANOSECONDS + int(rest.ljust(9, "0")[:9])
+        return int(Decimal(self.frame) * _NANOSECONDS)
 
     def absolute(self) -> ScanRef:
         """The same scan with an absolute path."""
