@@ -228,9 +228,7 @@ def check_folder(out: Path, dataset: Path, experiment: str = "run") -> None:
         )
 
 
-def refuse_other_content(
-    name: str, out: Path, kind: str, *, is_own: bool, other: str = "--out"
-) -> None:
+def refuse_other_content(name: str, out: Path, kind: str, *, is_own: bool) -> None:
     """Raise `RunError` if results would be written to a file, or to a folder that holds something else.
 
     Parameters
@@ -238,24 +236,23 @@ def refuse_other_content(
     name : of the results, which begins the message, such as `run OUT`
     kind : of the results, as text
     is_own : whether the folder already holds results of this kind
-    other : what the user can give instead
     """
     if out.exists() and not out.is_dir():
-        raise RunError(f"{name}: expected a folder, got a file; give another {other}")
+        raise RunError(f"{name}: expected a folder, got a file; give another folder")
     if not is_own and out.is_dir() and any(not path.name.startswith(".") for path in out.iterdir()):
-        raise RunError(f"{name}: the folder holds other things than {kind}; give another {other}")
+        raise RunError(f"{name}: the folder holds other things than {kind}; give another folder")
 
 
-def refuse_overwrite(name: str, lost: str, why: Iterable[str], other: str = "--out") -> None:
+def refuse_overwrite(name: str, lost: str, why: Iterable[str]) -> None:
     """Raise `RunError`: a finished result is replaced only with `--replace`.
 
     Parameters
     ----------
-    name, other : see `refuse_other_content`
+    name : see `refuse_other_content`
     lost : what would be replaced
     why : description of what has changed
     """
     changes = "; ".join(why)
     raise RunError(
-        f"{name}: is finished, and {lost} would be replaced ({changes}); add --replace, or give another {other}"
+        f"{name}: is finished, and {lost} would be replaced ({changes}); add --replace, or give another folder"
     )
