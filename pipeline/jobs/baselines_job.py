@@ -14,7 +14,7 @@ from ...schemas.metric_catalogue import METRIC, scores_of
 from ...schemas.record import OF_OBJECTS, OF_SCAN
 from ...schemas.settings import Settings
 from ...stages.summary import mean_and_std
-from ..stage import Grain, Inputs, JobResult, Stage
+from ..stage import Inputs, JobResult, Stage
 from ..storage.table_files import JobRecord
 from .points_job import (
     MATCHED_OBJECTS,
@@ -110,7 +110,6 @@ STAGE = Stage(
     takes=(*MATCHED_OBJECTS, "selection"),
     gives=("baselines",),
     settings=("metrics",),
-    grain=Grain.PAIR,
     version=4,
     make=make_baselines,
     libraries=("POT",),

@@ -29,7 +29,6 @@ STAGE = Stage(
     gives=("selection",),
     settings=("selection",),
     grain=Grain.OBJECT,
-    version=1,
     make=make_selection,
     libraries=("POT",),
 )

@@ -123,10 +123,7 @@ class RunFolder(TableFolder):
             The file is damaged or gone.
         """
         name = table_name(table, pair_id, side) if pair_id else f"{table}.parquet"
-        for record in self.ledger.jobs(pair_id).values():
-            if name in record.files:
-                return self.read(table, record.files[name], name, columns)
-        raise self.damaged(name)
+        return self._read(table, self.ledger.files_of(pair_id), name, columns)
 
     def read_pairs(
         self, pair_ids: Iterable[str], columns: Mapping[tuple[str, str], list[str]]
@@ -144,20 +141,23 @@ class RunFolder(TableFolder):
         """
         parts: dict[tuple[str, str], list[pa.Table]] = {source: [] for source in columns}
         for pair_id in pair_ids:
-            files: dict[str, StoredFile] = {}
-            for job in self.ledger.jobs(pair_id).values():
-                files |= job.files
+            files = self.ledger.files_of(pair_id)
             for (table, side), names in columns.items():
                 name = table_name(table, pair_id, side)
-                if name not in files:
-                    raise self.damaged(name)
-                parts[table, side].append(self.read(table, files[name], name, names))
+                parts[table, side].append(self._read(table, files, name, names))
         frames = {}
         for source, tables in parts.items():
             sizes = [len(table) for table in tables]
             pair = np.repeat(np.arange(len(tables), dtype=np.int32), sizes)
             frames[source] = pa.concat_tables(tables).to_pandas().assign(pair=pair)
         return frames
+
+    def _read(
+        self, table: str, files: Mapping[str, StoredFile], name: str, columns: list[str] | None
+    ) -> pa.Table:
+        if name not in files:
+            raise self.damaged(name)
+        return self.read(table, files[name], name, columns)
 
     def write_table(self, table: str, rows: pa.Table | Iterable[pa.Table], key: str) -> None:
         """Write a table of the whole run, or parts of it, and add it to the ledger under its key."""
