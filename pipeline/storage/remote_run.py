@@ -376,19 +376,19 @@ def local_arguments(words: list[str]) -> Iterator[None]:
     """
     run = None
     for i, word in enumerate(words):
-        option, is_joined, value = word.partition("=")
-        if not word.startswith("--"):
-            option = words[i - 1]
-            value = word
-            is_joined = ""
+        option = words[i - 1]
+        before = ""
+        value = word
+        if word.startswith("--"):
+            option, _, value = word.partition("=")
+            before = f"{option}="
         if not is_url(value) or option == "--scheduler":
             continue
         if option in ("--out", "-o"):
             run = RemoteRun(value)
-            path = run.folder
+            words[i] = f"{before}{run.folder}"
         else:
-            path = local_of(value)
-        words[i] = f"{option}={path}" if is_joined else str(path)
+            words[i] = f"{before}{local_of(value)}"
     with run.written() if run else nullcontext():
         yield
 
