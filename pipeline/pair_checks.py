@@ -110,8 +110,8 @@ def shared_files(hashes: Mapping[str, Mapping[str, str]]) -> list[str]:
     """
     places: dict[str, list[str]] = {}
     for pair_id, sides in hashes.items():
-        for side, content in sides.items():
-            if content:
+        for side in SIDES:
+            if content := sides.get(side):
                 places.setdefault(content, []).append(f"{pair_id} ({side})")
     lines = []
     for names in places.values():

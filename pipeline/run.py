@@ -161,9 +161,8 @@ def select_pairs(dataset: Dataset, pattern: str | None) -> tuple[ScanPair, ...]:
     selected = tuple(pair for pair in dataset.pairs if fnmatchcase(pair.pair_id, pattern))
     if not selected:
         names = ", ".join(pair.pair_id for pair in dataset.pairs[:5])
-        n_pairs = len(dataset.pairs)
         raise DatasetError(
-            f"--pairs {pattern!r} matches none of the {n_pairs} pairs ({names} ...)",
+            f"--pairs {pattern!r} matches none of the {len(dataset.pairs)} pairs ({names} ...)",
         )
     return selected
 

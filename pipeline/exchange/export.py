@@ -137,8 +137,7 @@ def message_times(run: FinishedRun, names: Sequence[str]) -> tuple[dict[str, int
     known_s = {times_s[name] for name in names if 0 <= times_s.get(name, -1.0) < _LATEST_S}
     if len(known_s) == len(names):
         return {name: round(times_s[name] * _NS) for name in names}, "of the dataset"
-    seconds = enumerate(run.scored, 1)
-    return {row["pair_id"]: second * _NS for second, row in seconds}, "one second apart"
+    return {name: second * _NS for second, name in enumerate(run.names, 1)}, "one second apart"
 
 
 def pair_clouds(

@@ -16,7 +16,6 @@ from ..stage import (
     DISTANCES,
     OF_PAIR,
     UNEXPLAINED,
-    Grain,
     Inputs,
     JobResult,
     Stage,
@@ -63,7 +62,6 @@ STAGE = Stage(
     takes=("ground", "sensor", "causes"),
     gives=("gains",),
     settings=("input",),
-    grain=Grain.PAIR,
     make=make_gains,
     is_wanted=lambda settings: False,
 )

@@ -62,9 +62,9 @@ def matched_objects(inputs: Inputs) -> Iterator[tuple[dict[str, Any], Subgraph, 
         yield match, graphs[0][match["real_id"]], graphs[1][match["sim_id"]]
 
 
-def coordinates(table: pa.Table) -> FloatArray:
-    """The coordinates of points, (n, 3) float64 metres."""
-    return np.column_stack([column(table, axis) for axis in "xyz"])
+def coordinates(table: pa.Table, name: str = "{}") -> FloatArray:
+    """The coordinates of points, (n, 3) float64 metres, in columns of these names with the axis in place of {}."""
+    return np.column_stack([column(table, name.format(axis)) for axis in "xyz"])
 
 
 def object_columns(objects: Objects) -> Row:

@@ -22,7 +22,7 @@ from ...stages.rays import (
     find_rays,
     score_rays,
 )
-from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
+from ..stage import OF_PAIR, Inputs, JobResult, Metadata, Stage
 from .points_job import column, coordinates, sensor_of
 
 
@@ -125,6 +125,5 @@ STAGE = Stage(
     takes=("ground", "sensor"),
     gives=("rays", "ray_scores"),
     settings=("input",),
-    grain=Grain.PAIR,
     make=make_rays,
 )

@@ -7,7 +7,7 @@ import numpy as np
 from ...schemas.columns import Row
 from ...schemas.metric_catalogue import SHIFT_COLUMNS
 from ...stages.surface import Offsets, compare_roughness, describe_surface, measure_offsets
-from ..stage import OF_PAIR, Grain, Inputs, JobResult, Stage
+from ..stage import OF_PAIR, Inputs, JobResult, Stage
 from .points_job import column, object_points
 
 
@@ -38,7 +38,6 @@ STAGE = Stage(
     name="surface",
     takes=("ground", "communities"),
     gives=("surface",),
-    grain=Grain.PAIR,
     make=make_surface,
     libraries=("scikit-learn",),
 )

@@ -22,7 +22,7 @@ from ...stages.tasks import (
     compare_obstacles,
     compare_occupancy,
 )
-from ..stage import Grain, Inputs, JobResult, Stage
+from ..stage import Inputs, JobResult, Stage
 from ..storage.table_files import JobRecord
 from .points_job import by_axis, column, cut_scan
 
@@ -98,7 +98,6 @@ STAGE = Stage(
     takes=("ground", "communities"),
     gives=("tasks", "task_objects"),
     settings=("tasks",),
-    grain=Grain.PAIR,
     make=make_tasks,
     libraries=("scikit-learn",),
     is_wanted=lambda settings: bool(settings.tasks.names),

@@ -30,7 +30,7 @@ from ..engine.worker import PairTables, run_in_memory
 from ..jobs import STAGES, baselines_job
 from ..run import Run
 from ..run_tables import records_of, write_table
-from ..stage import SCAN, Grain, Inputs, JobResult, Stage
+from ..stage import SCAN, Inputs, JobResult, Stage
 from ..storage.files import key_of
 from ..storage.folder import RunFolder, check_folder
 from ..storage.run_record import library_versions, write_record
@@ -80,7 +80,6 @@ def experiment_stage(
         takes=(SCAN,),
         gives=tables,
         settings=(*groups, name),
-        grain=Grain.PAIR,
         version=version + sum(stage.version for stage in stages),
         make=make,
         libraries=tuple(dict.fromkeys(libraries)),

@@ -53,7 +53,7 @@ for _format, _labels in read_data("class_names").items():
     CLASSES[_format] = {int(number): label for number, label in _labels.items()}
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class Scan:
     """One scan as stored in its file.
 
@@ -75,11 +75,6 @@ class Scan:
     times_s: FloatArray | None = None
     label_names: Mapping[int, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-
-    def __repr__(self) -> str:
-        optional = ("intensity", "labels", "instances", "rings", "times_s")
-        others = "".join(f", {name}" for name in optional if getattr(self, name) is not None)
-        return f"<scan of {len(self.points)} points{others}>"
 
 
 def scan_from_columns(
