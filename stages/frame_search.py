@@ -213,11 +213,7 @@ def check_frames(
     target = _Side(target_points)
     some_sim = _some_returns(sim)
     reach_ratio = _reach_m(_some_returns(real)) / max(_reach_m(some_sim), 1e-9)
-    sources = {}
-    for unit, scale in _scales(reach_ratio).items():
-        points = _thinned(sim * scale, settings, "sim")
-        if len(points) >= _MIN_POINTS:
-            sources[unit] = _Side(points)
+    sources = _in_units(sim, reach_ratio, settings)
     if not sources:
         return None
     as_given, scored = _search(target, sources, settings, motion)
@@ -244,6 +240,16 @@ def check_frames(
             coverage = after
             is_suspect = True
     return FrameCheck(as_given, best.name, coverage, is_suspect, _setting(best, settings, motion))
+
+
+def _in_units(sim: FloatArray, reach_ratio: float, settings: InputSettings) -> dict[str, _Side]:
+    """The simulated scan by the units that it may be in, "" for metres; without those that leave too few points."""
+    sources = {}
+    for unit, scale in _scales(reach_ratio).items():
+        points = _thinned(sim * scale, settings, "sim")
+        if len(points) >= _MIN_POINTS:
+            sources[unit] = _Side(points)
+    return sources
 
 
 def ground_height(points: FloatArray) -> float:

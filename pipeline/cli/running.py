@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -27,6 +27,9 @@ from .options import (
     machines_of,
 )
 from .output import print_json, print_outcome, print_text, print_view
+
+if TYPE_CHECKING:
+    from ...schemas.settings import Settings as AllSettings
 
 
 def settings(
@@ -237,28 +240,11 @@ def best_case(
 
     fidpipe show runs/dataset --best-case runs/dataset-best-case
     """
-    from ...schemas.settings import load
-    from ..storage.files import path_exists
-
-    is_run = path_exists(source / "run.json")
-    if is_run and (preset or settings or assignments):
-        raise typer.BadParameter("a run has its settings; leave out --preset, --settings and --set")
-
     from ..engine.progress import Reporter
     from ..generate.best_case_run import run_best_case
     from ..report.views.run_view import outcome_view
-    from ..results.finished import FinishedRun
-    from ..storage.run_record import SETTINGS_TOML
-    from ..storage.urls import recorded_path
 
-    if is_run:
-        dataset = recorded_path(FinishedRun(source).record.dataset)
-        in_force = load(source / SETTINGS_TOML)
-        default = source.with_name(f"{source.resolve().name}-best-case")
-    else:
-        dataset = source
-        in_force = load(settings, assignments or [], preset=preset)
-        default = Path("runs") / f"{source.resolve().name or 'dataset'}-best-case"
+    dataset, in_force, default = _best_case_source(source, preset, settings, assignments)
     outcome = run_best_case(
         dataset,
         out or default,
@@ -272,6 +258,26 @@ def best_case(
         replace=replace,
     )
     print_outcome(outcome_view(outcome), outcome.failures)
+
+
+def _best_case_source(
+    source: Path, preset: str | None, settings: Path | None, assignments: list[str] | None
+) -> tuple[Path, AllSettings, Path]:
+    """Dataset, settings and default folder of the best case of a run, or of a dataset."""
+    from ...schemas.settings import load
+    from ..results.finished import FinishedRun
+    from ..storage.files import path_exists
+    from ..storage.run_record import SETTINGS_TOML
+    from ..storage.urls import recorded_path
+
+    if not path_exists(source / "run.json"):
+        default = Path("runs") / f"{source.resolve().name or 'dataset'}-best-case"
+        return source, load(settings, assignments or [], preset=preset), default
+    if preset or settings or assignments:
+        raise typer.BadParameter("a run has its settings; leave out --preset, --settings and --set")
+    dataset = recorded_path(FinishedRun(source).record.dataset)
+    default = source.with_name(f"{source.resolve().name}-best-case")
+    return dataset, load(source / SETTINGS_TOML), default
 
 
 def status(run: RunFolder) -> None:

@@ -16,13 +16,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ...schemas.columns import FARTHEST_M
-from ...schemas.errors import RunError, ScanError
+from ...schemas.errors import ScanError
 from ...schemas.settings import InputSettings, Settings
 from ...stages.arrays import FloatArray
 from ...stages.clean import as_ros, clean_scan
 from ...stages.generate.second_measurement import fill_gaps, remeasure
 from ...stages.sensor_description import NO_GAPS, SurfaceGaps, describe_with_gaps
-from ..datasets.pairs import LABEL_NAMES, MANIFEST, Dataset, read_dataset
+from ..datasets.pairs import LABEL_NAMES, MANIFEST, Dataset, ScanPair, read_dataset
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
 from ..engine.engine import Machines
@@ -36,12 +36,12 @@ from ..results.best_case import (
     read_recipe,
 )
 from ..run import RunOutcome, run_dataset, select_pairs
-from ..storage.files import csv_bytes, path_exists, refuse_link, write_whole
+from ..storage.files import csv_bytes, refuse_link, write_whole
 from ..storage.folder import RunFolder, check_folder, refuse_overwrite
 from ..storage.ledger import LEDGER
 from ..storage.run_record import has_ended, read_run
 from ..storage.table_files import file_stem
-from ..storage.urls import name_in_records, recorded_path
+from ..storage.urls import name_in_records
 
 RECIPE_VERSION = 3  # increase it when the same recipe results in other measurements
 _DEFAULTS = (0.03, 0.03)  #: range noise in metres and lost share, if they cannot be measured
@@ -110,14 +110,11 @@ def run_best_case(
 
 
 def _refuse_other_recipe(out: Path, recipe: BestCaseRecipe, *, replace: bool) -> None:
-    """Raise `RunError` if the best case of another dataset, or without `replace` a finished one, would be replaced."""
+    """Raise `RunError` if a finished best case of another recipe would be replaced, unless it may be."""
     before = read_recipe(out)
-    if before is None:
-        return
-    if before.dataset != recipe.dataset and path_exists(recorded_path(before.dataset)):
-        raise RunError(f"run {out}: holds the best case of {before.dataset}; give another --out")
-    if before.words != recipe.words and has_ended(read_run(out)) and not replace:
-        refuse_overwrite(f"run {out}", "its scans", [before.words, f"requested: {recipe.words}"])
+    if before and before != recipe and has_ended(read_run(out)) and not replace:
+        words = [f"{made.words}, of {made.dataset}" for made in (before, recipe)]
+        refuse_overwrite(f"run {out}", "its scans", [words[0], f"requested: {words[1]}"])
 
 
 def _write_dataset(
@@ -144,25 +141,41 @@ def _write_dataset(
     amounts = []
     with one_blas_thread():  # a hundredth of the run's time
         for pair, path in reporter.counted(wanted, len(wanted)):
-            real = sim = str(pair.real.absolute()) if pair.real else ""
-            try:
-                scan = read_scan(
-                    pair.scans["real"], settings.columns_of("real"), source.label_names
-                )
-            except ScanError:  # reported by the run, which reads the real scan on both sides
-                path.unlink(missing_ok=True)
-            else:
-                of_scan, gaps = _amounts_of(scan, recipe, settings)
-                rng = np.random.default_rng([recipe.seed, *pair.pair_id.encode()])
-                content = BytesIO()
-                pq.write_table(_remeasured(scan, of_scan, gaps, rng), content)
-                write_whole(path, content.getbuffer())
-                amounts.append(of_scan)
-                sim = f"sim/{path.name}"
+            real = sim = ""
+            if pair.real is not None:
+                real = sim = str(pair.real.absolute())
+                used = _write_measurement(path, pair, recipe, settings, source.label_names)
+                if used is not None:
+                    amounts.append(used)
+                    sim = f"sim/{path.name}"
             rows.append((pair.pair_id, real, sim, pair.timestamp_s))
     if amounts and AS_MEASURED in (recipe.noise_m, recipe.lost_share):
         _report_amounts(np.array(amounts), reporter)
     write_whole(folder / MANIFEST, csv_bytes(["pair_id", "real", "sim", "timestamp_s"], rows))
+
+
+def _write_measurement(
+    path: Path,
+    pair: ScanPair,
+    recipe: BestCaseRecipe,
+    settings: InputSettings,
+    label_names: dict[int, str],
+) -> FloatArray | None:
+    """Write the measurement of a pair; returns its range noise and lost share, NaN if unknown.
+
+    None if the scan cannot be read: the run, which reads it on both sides, reports that.
+    """
+    try:
+        scan = read_scan(pair.scans["real"], settings.columns_of("real"), label_names)
+    except ScanError:
+        path.unlink(missing_ok=True)
+        return None
+    amounts, gaps = _amounts_of(scan, recipe, settings)
+    rng = np.random.default_rng([recipe.seed, *pair.pair_id.encode()])
+    content = BytesIO()
+    pq.write_table(_remeasured(scan, amounts, gaps, rng), content)
+    write_whole(path, content.getbuffer())
+    return amounts
 
 
 def _report_amounts(amounts: FloatArray, reporter: Reporter) -> None:

@@ -137,7 +137,7 @@ def _earlier_recipe(path: Path) -> Recipe:
     except (OSError, ValueError):  # TOML and unicode errors are ValueErrors
         return {}
     names = recipe.get("files")
-    if not isinstance(names, list) or not {"version", "seed", "sensor"} <= recipe.keys():
+    if not isinstance(names, list):
         return {}
     is_own = all(Path(str(name)).name == name for name in names)
     return recipe if is_own else {}

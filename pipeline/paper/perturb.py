@@ -61,14 +61,6 @@ CLASSES = ("vegetation", "car", "tree", "wall")
 #: An object of at most k + 1 points remains a complete graph under any alteration; a typical one has twice as many.
 LEAST_POINTS_OVER_K = 2
 PURE_SHARE = 0.75
-#: Columns of `perturb_global` from the summary of a comparison.
-_SUMMARY = (
-    "n_matched",
-    "n_identical",
-    "n_too_small",
-    "match_rate",
-    *(f"{metric}_mean" for metric in OBJECT_METRICS),
-)
 
 
 class PerturbRequest(BaseModel, frozen=True):
@@ -212,9 +204,7 @@ def _altered_scan(
         used = settings.model_copy(update={"communities": communities})
     both = tables | {("ground", "sim"): ground_table(altered)}  # the real side is unaltered
     summary = score_pair(used, both)
-    row |= {name: summary[name] for name in _SUMMARY}
-    row["n_communities_altered"] = summary["n_communities_sim"]
-    return row
+    return row | summary | {"n_communities_altered": summary["n_communities_sim"]}
 
 
 def _altered_object(
