@@ -256,18 +256,11 @@ def parse_levels(words: Sequence[str]) -> tuple[Perturbation, ...]:
                 f"--sweep {word!r}: expected one of {', '.join(KINDS)}; got {kind!r}",
             )
         for text in (amounts if equals else AMOUNTS[kind]).split(","):
-            levels[_level(word, kind, text)] = None
+            shift, _, amount = text.rpartition(":") if kind == "rigid" else ("", "", text)
+            option = f"--sweep {word!r}: {kind}"
+            shift_m = FLAWS["offset"].parse(shift or "0", option)
+            levels[Perturbation(kind, KINDS[kind].parse(amount, option), shift_m)] = None
     return tuple(levels)
-
-
-def _level(word: str, kind: str, text: str) -> Perturbation:
-    """The level of an amount; that of `rigid` is an angle, or metres:degrees."""
-    shift, amount = "", text
-    if kind == "rigid":
-        shift, _, amount = text.rpartition(":")
-    option = f"--sweep {word!r}: {kind}"
-    shift_m = FLAWS["offset"].parse(shift or "0", option)
-    return Perturbation(kind, KINDS[kind].parse(amount, option), shift_m)
 
 
 def _scores(tables: Mapping[str, pd.DataFrame]) -> list[pd.DataFrame]:
