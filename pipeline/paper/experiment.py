@@ -97,7 +97,7 @@ def run_stages(inputs: Inputs, stages: Sequence[Stage], sides: Sequence[str]) ->
     """Tables of stages on some sides of a pair, in memory."""
     scans = {side: inputs.scans[side]() for side in sides}
     pair = ScanPair(inputs.pair_id, None, None, T_real_sim=inputs.T_real_sim)
-    return run_in_memory(stages, settings_of(inputs.settings), pair=pair, scans=scans)[0]
+    return run_in_memory(stages, inputs.settings, pair=pair, scans=scans)[0]
 
 
 def read_source(path: Path) -> Dataset:
