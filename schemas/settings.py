@@ -69,8 +69,7 @@ def _numbers(count: int) -> BeforeValidator:
             raise ValueError(f"expected {count} numbers, got {value!r}")
         return words
 
-    numbers = tuple[(float,) * count]  # type: ignore[misc]
-    return BeforeValidator(split, json_schema_input_type=numbers | str)
+    return BeforeValidator(split, json_schema_input_type=tuple[float, ...] | str)
 
 
 def _choice(known: tuple[str, ...]) -> BeforeValidator:
