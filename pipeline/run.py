@@ -352,9 +352,14 @@ class Run:
         record = self._record(header, pairs, last_results(self.before) if is_same else None)
         self._write_record(record)
         n_made = self.collector.n_made
-        n_reused = self.n_jobs - n_made
-        reported = self.collector.failures
-        return RunOutcome(self.folder.folder, pairs, record, n_made, n_reused, reported)
+        return RunOutcome(
+            folder=self.folder.folder,
+            pairs=pairs,
+            record=record,
+            n_made=n_made,
+            n_reused=self.n_jobs - n_made,
+            reported=self.collector.failures,
+        )
 
     def _record(self, header: RunHeader, pairs: pa.Table, last: RunRecord | None) -> RunRecord:
         """The record of a run that has ended.
