@@ -48,6 +48,7 @@ from .run_tables import (
     extra_entries,
     few_of_each,
     pair_rows,
+    parts_of_table,
     records_of,
     timing_rows,
     write_table,
@@ -222,11 +223,6 @@ class Run:
         self._times_s = {pair.pair_id: pair.timestamp_s for pair in self.dataset.pairs}
 
     @property
-    def title(self) -> str:
-        """The run in messages."""
-        return f"run {self.folder.folder}"
-
-    @property
     def wall_s(self) -> dict[str, float]:
         """Seconds of each phase, and their total."""
         phases = dict(self._phases.total())
@@ -322,7 +318,7 @@ class Run:
             stages = [stage for stage in self.stages if stage.name in names]
             why = what_changed(self.before, self.settings, stages)
             if why:
-                refuse_overwrite(self.title, jobs_in_words(lost), why)
+                refuse_overwrite(f"run {self.folder.folder}", jobs_in_words(lost), why)
 
     def _plan(self, pair: ScanPair) -> PairPlan:
         """The jobs of a pair under the current settings."""
@@ -347,8 +343,10 @@ class Run:
         rows_of = partial(pair_rows, self.folder, self._jobs, failures)
         timings_of = partial(timing_rows, self.folder, self.stages)
         with self._phases("tables"):
-            pairs = write_table(self.folder, "pairs", key, pair_ids | failures.keys(), rows_of)
-            write_table(self.folder, "timings", timings_key, pair_ids, timings_of)
+            parts = parts_of_table("pairs", pair_ids | failures.keys(), rows_of)
+            pairs = write_table(self.folder, "pairs", key, parts)
+            parts = parts_of_table("timings", pair_ids, timings_of)
+            write_table(self.folder, "timings", timings_key, parts)
         record = self._record(header, pairs, last_results(self.before) if is_same else None)
         self._write_record(record)
         n_made = self.collector.n_made

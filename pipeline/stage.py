@@ -201,9 +201,8 @@ class Inputs:
         """One table, by its name, of parts in their order: columns without pair and side."""
         table = TABLES[name]
         built = [table.build(self._of_file | part) for part in parts]
-        if len(built) == 1:
-            return {name: built[0]}
-        return {name: pa.concat_tables([table.schema.empty_table(), *built]).combine_chunks()}
+        joined = pa.concat_tables(built or [table.schema.empty_table()])
+        return {name: joined.combine_chunks()}
 
     @property
     def _of_file(self) -> Row:

@@ -89,8 +89,6 @@ def generate_dataset(
     with named_errors(out):
         _prepare(out, recipe_name, recipe | {"files": sorted(names)}, label_names, replace=replace)
         missing = {pair.pair_id: pair.task for pair in pairs if not pair.is_in(out)}
-        if 0 < len(missing) < len(pairs):
-            reporter.say(f"{len(pairs) - len(missing)} of {len(pairs)} pairs already exist")
         _, failures = map_tasks(write_pair, missing, reporter, n_workers=workers)
         done = [pair for pair in pairs if pair.is_in(out)]
         columns = ["pair_id", "real", "sim", "timestamp_s", "T_world_sensor"]
@@ -137,7 +135,7 @@ def _earlier_recipe(path: Path) -> Recipe:
     except (OSError, ValueError):  # TOML and unicode errors are ValueErrors
         return {}
     names = recipe.get("files")
-    if not isinstance(names, list) or not {"version", "seed", "sensor"} <= recipe.keys():
+    if not isinstance(names, list):
         return {}
     is_own = all(Path(str(name)).name == name for name in names)
     return recipe if is_own else {}

@@ -8,8 +8,8 @@ from ...schemas.columns import Row
 from ...schemas.errors import StageError
 from ...schemas.settings import Settings
 from ...stages.arrays import FloatArray, transform_of
-from ...stages.clean import CleanResult
-from ...stages.ground import GroundResult, remove_road
+from ...stages.clean import CleanResult, clean_scan, too_few_left
+from ...stages.ground import MIN_OBJECT_POINTS, GroundResult, remove_ground
 from ...stages.plausibility import inspect_points
 from ..datasets.readers.scan import Scan
 from ..stage import (
@@ -38,20 +38,18 @@ def make_ground(inputs: Inputs) -> JobResult:
     """
     with inputs.step("read"):
         scan = inputs.scans[inputs.part]()
+    settings = inputs.settings
     with inputs.step("inspect"):
         T_real_sim = transform_of(inputs.T_real_sim)
-        inspection = inspect_points(scan.points, inputs.part, inputs.settings.input, T_real_sim)
-    real_cut, real_points = _real_side(inputs)
+        inspection = inspect_points(scan.points, inputs.part, settings.input, T_real_sim)
+    with inputs.step("clean"):
+        frame = settings.input.frame_of(inputs.part)
+        clean = clean_scan(scan.points, settings.input, frame=frame, T_real_sim=T_real_sim)
     try:
-        clean, cut = remove_road(
-            scan.points,
-            inputs.settings,
-            inputs.part,
-            T_real_sim=T_real_sim,
-            real_cut=real_cut,
-            real_points=real_points,
-            watch=inputs.step,
-        )
+        if len(clean.points) < MIN_OBJECT_POINTS:
+            raise StageError(too_few_left(clean, MIN_OBJECT_POINTS, settings.input))
+        with inputs.step("ground"):
+            cut = remove_ground(clean.points, settings.ground, *_real_side(inputs))
     except StageError as error:
         raise StageError("; ".join((str(error), *inspection.warnings))) from error
     metadata = _metadata(inputs.part, scan, clean, cut)
