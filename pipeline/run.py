@@ -327,7 +327,8 @@ class Run:
 
     def write(self) -> RunOutcome:
         """Write the tables of the whole run and its record."""
-        self._summarise_jobs()
+        with self._phases("tables"):
+            self._summarise_jobs()
         failures = self.past_failures | self.collector.failures
         job_keys = sorted(self.keys.items())
         key = key_of(library_versions(["fidpipe"]), job_keys, failures, self._times_s)
