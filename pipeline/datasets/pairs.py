@@ -139,9 +139,9 @@ def read_label_names(folder: Path) -> dict[int, str]:
 def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
     if not all((folder / side).is_dir() for side in SIDES):
         names = sorted(path.name for path in folder.iterdir())
-        content = ", ".join(names[:_MOST_NAMES]) if names else "nothing"
         raise DatasetError(
-            f"dataset {folder}: expected folders real/ and sim/ or a {MANIFEST}, got {content}; two "
+            f"dataset {folder}: expected folders real/ and sim/ or a {MANIFEST}, got "
+            f"{', '.join(names[:_MOST_NAMES]) or 'nothing'}; two "
             "folders of scans, or two recordings, may have any name: fidpipe run REAL SIM"
         )
     scans = {side: _scans_by_stem(folder / side, warnings) for side in SIDES}
