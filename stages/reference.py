@@ -82,8 +82,6 @@ def find_reference_objects(
     StageError
         The settings request labels or instances that the real side does not have, or all its classes are left out.
     """
-    import pandas as pd
-
     order = visiting_order(points, settings.seed)
     if settings.reference == "louvain":
         return find_communities(len(points), edges, settings, order=order)
@@ -93,13 +91,14 @@ def find_reference_objects(
             f'the real scan has no {settings.reference}, which communities.reference = "{settings.reference}" needs: '
             f"{_SOURCES[settings.reference]}; or set communities.reference=louvain"
         )
-    names = [""] * len(points)
+    names = ["" for _ in points]
     if annotation.labels is not None:
         names = ["unlabelled" if label is None else str(label) for label in annotation.labels]
+    classes = np.unique(names, return_inverse=True)[1].ravel()
     instances = np.zeros(len(points), dtype=np.int32)
     if settings.reference == "instances" and annotation.instances is not None:
         instances = annotation.instances
-    codes, _ = pd.MultiIndex.from_arrays([names, instances]).factorize()
+    codes = np.unique(np.column_stack([classes, instances]), axis=0, return_inverse=True)[1].ravel()
     components = _components(len(points), edges, codes, settings.reach_m)
     components = _merge_small(points, components, codes, settings.min_points)
     objects = canonical_ids(np.where(instances > 0, len(points) + codes, components), order)
@@ -110,7 +109,7 @@ def find_reference_objects(
             f"({', '.join(sorted(set(names)))}); exclude fewer classes"
         )
     objects[~kept] = -1
-    objects[kept] = np.unique(objects[kept], return_inverse=True)[1]
+    objects[kept] = np.unique(objects[kept], return_inverse=True)[1].ravel()
     return objects
 
 
@@ -184,18 +183,14 @@ def _merge_small(
     merged = components.copy()
     is_large = np.bincount(components)[components] >= min_points
     for code in np.unique(codes[~is_large]):
-        is_code = codes == code
-        large = np.flatnonzero(is_code & is_large)
-        small = np.flatnonzero(is_code & ~is_large)
+        large = np.flatnonzero((codes == code) & is_large)
+        small = np.flatnonzero((codes == code) & ~is_large)
         if len(large):
             nearest, distance_m = nearest_points(points[large], points[small])
-            by_distance = np.lexsort((*points[small].T[::-1], distance_m))
-            small = small[by_distance]
+            closest = np.lexsort((*points[small].T[::-1], distance_m, components[small]))
+            small = small[closest]
             _, first, of_small = np.unique(
-                components[small],
-                return_index=True,
-                return_inverse=True,
+                components[small], return_index=True, return_inverse=True
             )
-            closest = large[nearest[by_distance[first]]]
-            merged[small] = components[closest][of_small]
+            merged[small] = components[large[nearest[closest[first]]]][of_small]
     return merged

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .arrays import BoolArray, FloatArray, IndexArray, azimuths_deg, level_m
+from .arrays import BoolArray, FloatArray, IndexArray, azimuths_deg, level_m, sorted_rows
 from .beam_patterns import BeamPattern
 
 
@@ -72,4 +72,4 @@ def sweep_of(points: FloatArray, pattern: BeamPattern) -> Sweep:
         range_m=np.sqrt(level**2 + points[:, 2] ** 2),
         row=row,
     )
-    return sweep.chosen(np.lexsort((sweep.range_m, sweep.azimuth_deg, sweep.beam)))
+    return sweep.chosen(sorted_rows(sweep.beam, sweep.azimuth_deg, sweep.range_m))

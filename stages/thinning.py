@@ -19,9 +19,11 @@ def repeats_earlier_row(rows: FloatArray) -> BoolArray:
     ----------
     rows : (n, columns) float64
     """
-    import pandas as pd
-
-    return pd.DataFrame(rows).duplicated().to_numpy()
+    order = np.lexsort(rows.T)  # stable, so that of equal rows the first comes first
+    in_order = rows[order]
+    repeats = np.zeros(len(rows), dtype=bool)
+    repeats[order[1:]] = np.logical_and.reduce(in_order[1:] == in_order[:-1], axis=1)
+    return repeats
 
 
 def shares_voxel(points: FloatArray, voxel_m: float) -> BoolArray:
@@ -50,7 +52,6 @@ def smallest_voxel(points: FloatArray, fits: Callable[[FloatArray], bool]) -> fl
     0.1
     """
     for voxel_m in VOXELS_M:
-        thinned = points[~shares_voxel(points, voxel_m)]
-        if fits(thinned):
+        if fits(points[~shares_voxel(points, voxel_m)]):
             return voxel_m
     return None

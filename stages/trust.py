@@ -224,7 +224,7 @@ def alternation_text(sweep: Sweep) -> str | None:
     if len(sweep.beam) < _FEWEST_GAPS:
         return None
     runs_m = sliding_window_view(sweep.range_m, 7)
-    is_surface = np.ptp(runs_m, axis=1) < _SURFACE_PART * runs_m[:, 3]
+    is_surface = np.ptp(runs_m.T, axis=0) < _SURFACE_PART * runs_m[:, 3]
     runs_m = runs_m[is_surface & (sweep.beam[6:] == sweep.beam[:-6])]
     if len(runs_m) < _FEWEST_GAPS:
         return None
@@ -374,8 +374,9 @@ def _repeats_unevenly(gap_deg: FloatArray, n: int, most_deg: float) -> bool:
     of their mean or more, and both halves correlate.
     """
     groups = sliding_window_view(gap_deg, 2 * n)
-    groups = groups[:: math.ceil(len(groups) / _MOST_GROUPS)]
-    sums = sliding_window_view(groups, n, axis=1).sum(axis=2)
+    chosen = slice(None, None, math.ceil(len(groups) / _MOST_GROUPS))
+    groups = groups[chosen]
+    sums = sliding_window_view(sliding_window_view(gap_deg, n).T.sum(axis=0), n + 1)[chosen]
     with np.errstate(invalid="ignore"):  # NaN between beams
         sum_deg = np.median(sums, axis=1, keepdims=True)
         is_alike = np.abs(sums - sum_deg) < 0.1 * sum_deg

@@ -18,7 +18,7 @@ from time import monotonic
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperCommand, TyperGroup, TyperOption
+from typer.core import TyperCommand
 
 from ...schemas.docstrings import split_docstring
 from ...schemas.errors import FidpipeError
@@ -43,23 +43,7 @@ _REFUSALS = (
 )
 
 
-class _ShortTypes:
-    """Help in which flags have no type, and ranges a short one."""
-
-    def get_params(self, ctx: Any) -> Any:
-        """The parameters."""
-        params = super().get_params(ctx)  # type: ignore[misc]
-        for param in params:
-            if not isinstance(param, TyperOption) or param.metavar is not None:
-                continue
-            if param.is_flag:
-                param.metavar = ""
-            elif param.type_descriptor.is_ranged:
-                param.metavar = "NUMBER"
-        return params
-
-
-class _Command(_ShortTypes, TyperCommand):
+class _Command(TyperCommand):
     """A command whose docstring describes its parameters; no empty lines between examples."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
@@ -70,10 +54,8 @@ class _Command(_ShortTypes, TyperCommand):
         for param in self.params:
             param.help = meanings.get(param.name, param.help)
             param.secondary_opts = []  # flags have no --no-flag
-
-
-class _Group(_ShortTypes, TyperGroup):
-    """All commands."""
+            if getattr(param, "is_flag", False):
+                param.metavar = ""  # or their help says <bool>
 
 
 def main() -> None:
@@ -100,6 +82,7 @@ def main() -> None:
     _ignore_interrupts()
     if code == EXIT_INTERRUPTED:  # typer turns Ctrl-C into this code
         _complain("interrupted; run the same command again to resume")
+    gc.freeze()  # Python would search all modules for garbage
     sys.exit(_flushed(code))
 
 
@@ -244,7 +227,6 @@ def _application(name: str = "") -> typer.Typer:
     """The command of this name, or all if there is none: each takes milliseconds to set up."""
     application = typer.Typer(
         name="fidpipe",
-        cls=_Group,
         rich_markup_mode="markdown",
         no_args_is_help=True,
         pretty_exceptions_enable=False,

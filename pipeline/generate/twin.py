@@ -105,8 +105,6 @@ def make_twins(
             f'input.real_frame: expected "ros", got "{real_frame}": poses and beams of a '
             f"recording require {FRAME_AXES['ros']}; convert its scans and poses first"
         )
-    if out.resolve() == recording.folder.resolve():
-        raise FidpipeError(f"dataset {out}: is the recording; expected a new or empty folder")
     frames = select_pairs(recording, pattern)
     names = recording.label_names
     pairs = []

@@ -90,7 +90,7 @@ def _sensor_lines(dataset: DatasetCheck) -> list[Note]:
 
 def _causes(dataset: DatasetCheck) -> View:
     """The causes that a few pairs show."""
-    n_pairs = sum(bool(check.amounts) for check in dataset.pairs)
+    n_pairs = sum(bool(check.causes) for check in dataset.pairs)
     if not n_pairs:
         return []
     heading = Note(f"Seen in {count(n_pairs, 'pair')}", "bold")

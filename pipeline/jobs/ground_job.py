@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import pyarrow as pa
 
+from ...schemas.columns import Row
 from ...schemas.errors import StageError
 from ...schemas.settings import Settings
 from ...stages.arrays import FloatArray, transform_of
@@ -54,16 +54,15 @@ def make_ground(inputs: Inputs) -> JobResult:
         raise StageError("; ".join((str(error), *inspection.warnings))) from error
     metadata = _metadata(inputs.part, scan, clean, cut)
     metadata |= {INSPECTION: inspection, "T_real_sim": inputs.T_real_sim}
-    return JobResult({"ground": _rows(inputs, scan, clean, cut)}, metadata)
+    return JobResult(inputs.columns("ground", _columns(scan, clean, cut)), metadata)
 
 
-def _rows(inputs: Inputs, scan: Scan, clean: CleanResult, cut: GroundResult) -> pa.Table:
+def _columns(scan: Scan, clean: CleanResult, cut: GroundResult) -> Row:
     """The clean points with their ground flags."""
     ids = clean.point_ids
     columns = vars(cut) | dict(zip("xyz", clean.points.T, strict=True)) | {"point_id": ids}
     optional = {"intensity": scan.intensity, "label": scan.labels, "instance": scan.instances}
-    columns |= {name: values[ids] for name, values in optional.items() if values is not None}
-    return inputs.columns("ground", columns)
+    return columns | {name: values[ids] for name, values in optional.items() if values is not None}
 
 
 def _metadata(side: str, scan: Scan, clean: CleanResult, cut: GroundResult) -> Metadata:

@@ -63,7 +63,7 @@ def test_measures_are_the_numbers_of_the_tables(finished):
     ]
 
 
-KNOWN = r"known are ([\w.]+, ){4}[\w.]+ and \d+ more"
+KNOWN = r"the nearest are ([\w.]+, ){14}[\w.]+"
 UNKNOWN = [
     "r_lambda",
     "r_lambda.",

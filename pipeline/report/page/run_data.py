@@ -75,8 +75,9 @@ def page_words(
     run = results.run
     overview = run.overview
     assert overview is not None  # a pair is scored
-    sections = answer_sections(run, excess, with_all=True, is_page=True)
+    sections = answer_sections(run, excess, with_all=True)
     sections.pop("Worst places", None)
+    sections.pop("Next")
     trust = sections.pop("Trust", [])
     pairs = plain_rows(results.pairs)
     return {
