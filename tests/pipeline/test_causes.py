@@ -253,18 +253,8 @@ def test_a_healthy_re_measurement_has_no_cause_and_what_is_unknown_is_shown_with
         frames.append(evaluate_pair(scan, healthy(scan, rng), settings).causes)
     pairs = []
     for frame in frames:
-<<<<<<< HEAD
-        rows = frame.astype(object).where(frame.notna(), None).to_dict("records")
-        fields = ("amount", "real", "sim", "share", "reason")
-        of_pair = {}
-        for row in rows:
-            of_pair[row["cause"]] = Amount(**{name: row[name] for name in fields})
-        amounts.append(of_pair)
-    values = cause_values(amounts)
-=======
         pairs.append(frame.astype(object).where(frame.notna(), None).to_dict("records"))
     values = cause_values(pairs)
->>>>>>> main
     assert named_causes(values, np.arange(N_PAIRS)) == []
     unknown = {name: group.reason for group in unknown_causes(values) for name in group.causes}
     assert "intensity scale" in unknown
