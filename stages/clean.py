@@ -157,12 +157,13 @@ def too_few_left(clean: CleanResult, n_fewest: int, settings: InputSettings) -> 
     why = ", ".join(reasons) or "no more in the file"
     remedies = {
         "too_near": f"lower input.min_range_m (now {settings.min_range_m:g})",
-        "too_far": "give the points in metres, in the sensor's frame, or raise input.max_range_m "
-        f"(now {settings.max_range_m:g})",
+        "too_far": "give the points in metres, in the sensor's frame",
         "in_exclude_box": "shrink input.exclude_box",
         "outside_include_box": "widen input.include_box",
         "thinned": f"lower input.voxel_m (now {settings.voxel_m})",
     }
+    if settings.max_range_m < InputSettings().max_range_m:
+        remedies["too_far"] += f", or raise input.max_range_m (now {settings.max_range_m:g})"
     worst = max(counts, key=counts.__getitem__, default="")
     remedy = remedies.get(worst, "check that the export is complete")
     return f"expected at least {n_fewest} points after cleaning, got {len(clean.points)} ({why}); {remedy}"
