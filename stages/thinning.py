@@ -52,6 +52,7 @@ def smallest_voxel(points: FloatArray, fits: Callable[[FloatArray], bool]) -> fl
     0.1
     """
     for voxel_m in VOXELS_M:
-        if fits(points[~shares_voxel(points, voxel_m)]):
+        thinned = points[~shares_voxel(points, voxel_m)]
+        if fits(thinned):
             return voxel_m
     return None
