@@ -51,7 +51,7 @@ CORE = (
     *(("ghosts", 0.05), ("noise", 0.1), ("offset", 0.2)),
 )
 PRESETS = ("paper", "reference")
-BASELINES = "chamfer,f_score,dcd"
+BASELINES = "chamfer,hausdorff,f_score,dcd"
 NONE = "none"
 OWN = (
     *("match_rate", "cdc_mean", "r_lambda_mean", "r_gap_mean", "eigenspectrum_distance_mean"),

@@ -103,11 +103,9 @@ def write_table(
     folder: RunFolder, name: str, key: str, rows: pa.Table | Iterable[pa.Table]
 ) -> pa.Table:
     """Write a table of the whole run, or its parts, unless it exists under its key, and return it."""
-    file = f"{name}.parquet"
     record = folder.ledger.jobs("").get((name, ""))
     if record is None or record.key != key or folder.damaged_files(record):
-        stored = folder.write_at(folder.folder / file, name, rows, key)
-        folder.ledger.put_job(JobRecord(name, "", "", key, {file: stored}))
+        folder.write_table(name, rows, key)
     return folder.read_table(name)
 
 

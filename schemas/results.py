@@ -139,7 +139,7 @@ class Piece(Result):
 class Caution(Result):
     """A limit to the trust in the numbers.
 
-    kind : to_do, frames, ground, pairs, independence, partition, alignment, or best_case (unknown)
+    kind : to_do, frames, ground, pairs, independence, partition, or alignment
     words : one sentence
     """
 

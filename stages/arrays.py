@@ -56,6 +56,16 @@ def rows_by_id(ids: NDArray[np.integer[Any]], n_ids: int = 0) -> list[IndexArray
     return np.split(order, np.searchsorted(ids[order], np.arange(n_ids)))[1:]
 
 
+def sorted_rows(*keys: NDArray[Any]) -> IndexArray:
+    """(n,) rows in the order of the first key, (n,), then of the next, then as they are: a faster `np.lexsort`."""
+    rank = keys[0]
+    for key in (*keys[1:], np.arange(len(rank))):
+        _, upper = np.unique(rank, return_inverse=True)
+        _, lower = np.unique(key, return_inverse=True)
+        rank = upper * len(key) + lower
+    return np.argsort(rank)
+
+
 def azimuths_deg(points: FloatArray) -> FloatArray:
     """Azimuth of each point seen from the origin, (n,), degrees from x towards y, -180 to 180."""
     return np.degrees(np.arctan2(points[:, 1], points[:, 0]))

@@ -78,8 +78,8 @@ def compare_points(
     >>> import numpy as np
     >>> from fidpipe.schemas.settings import MetricsSettings
     >>> points = np.array([[0.0, 0, 0], [1, 0, 0]])
-    >>> compare_points(points, points + [0, 0, 3], MetricsSettings(baselines=("f_score",)))
-    (Baseline(name='f_score', value=0.0, reason=None),)
+    >>> compare_points(points, points + [0, 0, 3], MetricsSettings(baselines=("hausdorff",)))
+    (Baseline(name='hausdorff_m', value=3.0, reason=None),)
     """
     values: list[Baseline] = []
     for name in settings.baselines:
@@ -123,6 +123,25 @@ def chamfer(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Bas
         Baseline("chamfer_squared_m2", float((to_sim**2).mean() + (to_real**2).mean())),
         Baseline("chamfer_one_way_sum_m", float(to_sim.sum())),
     )
+
+
+def hausdorff(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
+    """max(max_x min_y |x - y|, max_y min_x |y - x|) in metres: the worst point (Hausdorff, Mengenlehre, 1914).
+
+    See Huttenlocher, Klanderman and Rucklidge, Comparing images using the Hausdorff distance, IEEE PAMI 1993, eq. 1.
+
+    Parameters
+    ----------
+    real, sim : (n, 3), (m, 3) float64, metres, not centred, at least one point each
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> hausdorff(np.array([[0.0, 0, 0], [4, 0, 0]]), np.array([[1.0, 0, 0]]), MetricsSettings())[0].value
+    3.0
+    """
+    to_sim, to_real = nearest_distances(real, sim)
+    return (Baseline("hausdorff_m", float(max(to_sim.max(), to_real.max()))),)
 
 
 def f_score(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> Baselines:
@@ -382,6 +401,7 @@ def _image_points_apart(real: FloatArray, sim: FloatArray) -> Baselines:
 #: Baseline metrics of two point sets by their names in the settings.
 OF_POINTS: dict[str, _OfPoints] = {
     "chamfer": chamfer,
+    "hausdorff": hausdorff,
     "f_score": f_score,
     "dcd": dcd,
     "histogram": histogram,

@@ -377,7 +377,8 @@ def _range_quantum(sweep: Sweep, rounding_m: float) -> float | str:
         return f"too few returns nearer than {_QUANTUM_RANGE_M:g} m"
 
     def is_multiple(quantum: float) -> bool:
-        turn = 2 * np.pi * range_m / quantum
+        n_quanta = range_m / quantum
+        turn = (2 * np.pi * (n_quanta - np.floor(n_quanta))).astype(np.float32)  # cosines are fast
         length = np.hypot(np.bincount(beam, np.cos(turn)), np.bincount(beam, np.sin(turn)))
         return bool(length[used].sum() / n_returns[used].sum() >= 0.7)
 
@@ -394,13 +395,14 @@ def _range_noise(sweep: Sweep, step_deg: float) -> float | str:
     if len(runs) < _FEWEST_RUNS:
         runs, azimuth_deg = _runs_on_surface(sweep, (_RUN_STEPS + 0.5) * step_deg)
         place = azimuth_deg - azimuth_deg.mean(axis=1, keepdims=True)
+        runs = runs[:, None]
     if len(runs) < _FEWEST_RUNS:
         return (
             f"{len(runs)} runs of {_RUN} returns on a surface, at least {_FEWEST_RUNS} are needed"
         )
     basis = np.linalg.qr(np.stack([np.ones_like(place), place, place**2], axis=-1))[0]
-    fit = (runs[:, None] @ basis @ np.swapaxes(basis, -1, -2))[:, 0]
-    rms = np.sqrt(((runs - fit) ** 2).sum(axis=1) / (_RUN - 3))
+    fit = runs @ basis @ np.swapaxes(basis, -1, -2)
+    rms = np.sqrt(((runs - fit) ** 2).sum(axis=-1) / (_RUN - 3))
     return round(float(np.quantile(rms, 0.25)) / _RUN_QUARTILE, 4)
 
 
@@ -419,11 +421,11 @@ def _least_range_noise(sweep: Sweep, step_deg: float, noise_m: float | str) -> f
 def _runs_on_surface(sweep: Sweep, most_deg: float) -> tuple[FloatArray, FloatArray]:
     """Ranges and azimuths, (n, 9) each, of returns of a beam in a row with at most this gap from one to the next."""
     has_no_gap = np.nan_to_num(sweep.gap_deg, nan=np.inf) < most_deg
-    is_run = sliding_window_view(has_no_gap, _RUN - 1).all(axis=1)
-    range_m = sliding_window_view(sweep.range_m, _RUN)[is_run]
-    azimuth_deg = sliding_window_view(sweep.azimuth_deg, _RUN)[is_run]
-    is_surface = np.ptp(range_m, axis=1) < 0.05 * range_m.mean(axis=1)
-    return range_m[is_surface], azimuth_deg[is_surface]
+    is_run = sliding_window_view(has_no_gap, _RUN - 1).T.all(axis=0)
+    range_m = sliding_window_view(sweep.range_m, _RUN)
+    azimuth_deg = sliding_window_view(sweep.azimuth_deg, _RUN)
+    is_run &= np.ptp(range_m.T, axis=0) < 0.05 * range_m.T.mean(axis=0)  # on surface
+    return range_m[is_run], azimuth_deg[is_run]
 
 
 def _surface_firings(sweep: Sweep, step_deg: float) -> IndexArray:

@@ -7,6 +7,7 @@ out of the estimates.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,8 +19,11 @@ from .beam_patterns import BeamPattern, find_beams
 from .sweep import Sweep
 from .thinning import shares_voxel
 
-MISSES, RETURNS = "misses", "single_returns"
-ONE_SWEEP, POSITION, BEAMS = "one_sweep", "sensor_position", "beams"
+MISSES = "misses"
+RETURNS = "single_returns"
+ONE_SWEEP = "one_sweep"
+POSITION = "sensor_position"
+BEAMS = "beams"
 #: Needed by causes of the pose and the world: several sweeps on both sides, or on none.
 SAME_SWEEPS = "same_sweeps"
 #: Needed by every cause: both sides in one frame, in fine coordinates.
@@ -30,30 +34,34 @@ FINE = "fine_coordinates"
 UPRIGHT = "upright"
 #: Of both sides: azimuth steps without a doubtful ratio; no side cropped to a box; the road; returns on each for
 #: several of the other.
-STEPS, UNCROPPED, ROAD, ENOUGH = "azimuth_steps", "uncropped", "road", "enough_returns"
+STEPS = "azimuth_steps"
+UNCROPPED = "uncropped"
+ROAD = "road"
+ENOUGH = "enough_returns"
 #: Doubts that make `fidpipe check` fail.
 SERIOUS = (MISSES, ONE_SWEEP, POSITION, FRAME)
+
 _LEAST_DEPTH_M = 5.0
 #: Distance from the farthest point, metres, in which rays without a return are written, and their least share.
 _SHELLS = ((0.1, 0.03), (0.5, 0.1), (2.0, 0.2))
 _BEFORE = 5.0  # widths of a shell
-_TAIL = (
-    1.5  # of the distance from the middle of a shell to the farthest point, below which no miss is
-)
+_TAIL = 1.5  # misses are at most so much farther below the middle of their shell than above it
 _MOST_SHELL_SHARE = 0.95
 _FEWEST_RETURNS = 500
+
 _SAME_DEG = 0.005  # azimuth between returns of a ray
 _SAME_SHARE = 0.1  # of later returns
 _NEAREST_M = 1.0
 _MOST_RETURNS = 5  # of a ray
-_BIN_DEG, _MOST_DEG = 0.01, 4.0  # of gaps in azimuth
+
+_ROUNDED_M = 0.0095
+_COARSE_M = 0.03
+_FEWEST_VALUES = 20
+
+_SEVERAL_SWEEPS = "two or more sweeps or sensors, or second returns, in one scan? {}; export one revolution per file"
+_BIN_DEG = 0.01  # of gaps in azimuth
+_MOST_DEG = 4.0
 _FEWEST_GAPS = 500
-_SAME_DEPTH = 0.05  # of the range: two returns of one surface
-_NEAREST_GRID_M, _NEAR_GRID_M, _FAR_GRID_M = 2.0, 8.0, 15.0
-_FEWEST_OF_GRID = 200
-_WIDER_NEAR = 1.4  # grids of 5 to 20 cm have 1.6 to 8 mostly, other scans at most 1.01
-_THINNED = "{}: thinned by a voxel grid? Compare scans as recorded"
-_GRIDS_M = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)
 _MOST_GROUPS = 30_000
 _MOST_SWEEPS = 5
 _UNEVEN = 0.2  # sweeps have 0.25 at least, other scans up to 0.18
@@ -61,20 +69,34 @@ _ALIKE = 0.9  # sweeps have 0.94 at least
 _REPEATED = 0.06  # sweeps have 0.09 at least, other scans up to 0.05
 _CELL_DEG = 2.0
 _SAME_CELLS = 0.6  # share of the directions of both parts
+_CHANGING = 2.0  # two sweeps of a moving sensor have 4, single ones up to 0.9
+_SURFACE_PART = 0.2  # of the range, between returns of one surface
+
+_THINNED = "{}: thinned by a voxel grid? Compare scans as recorded"
+_SAME_DEPTH = 0.05  # of the range: two returns of one surface
+_NEAREST_GRID_M = 2.0
+_NEAR_GRID_M = 8.0
+_FAR_GRID_M = 15.0
+_FEWEST_OF_GRID = 200
+_WIDER_NEAR = 1.4  # grids of 5 to 20 cm have 1.6 to 8 mostly, other scans at most 1.01
+_GRIDS_M = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)
 _SAMPLE = 5000
+
 _NEIGHBOURS = 10
 _DENSE_PART = 5  # a fifth of the points
 _DENSE_M = 15.0
-_SEVERAL_SWEEPS = "two or more sweeps or sensors, or second returns, in one scan? {}; export one revolution per file"
-_NEAR_M, _NEAR_SHARE = 5.0, 0.001
+_NEAR_M = 5.0
+_NEAR_SHARE = 0.001
 _NEAR_ROAD_M = 10.0  # beams of -15 degrees on a roof meet the road after 7 to 9 m
-_ROUNDED_M, _COARSE_M = 0.0095, 0.03
-_FEWEST_VALUES = 20
-_FEWEST_ROWS, _MOST = 4, 0.9  # of a range image
-_OFF_CENTRE, _OFF_ROW = 0.002, 0.05  # of a column, as 0.4 % of noiseless sweeps begin; of a row
-_CHANGING = 2.0  # two sweeps of a moving sensor have 4, single ones up to 0.9
-_SURFACE_PART = 0.2  # of the range, between returns of one surface
-_FEWEST_AT_EDGE, _BEYOND_EDGE, _INSIDE = 20, 0.2, 0.92
+
+_FEWEST_ROWS = 4  # of a range image
+_MOST_CENTRED = 0.9  # share of the returns at the centres of the columns
+_OFF_CENTRE = 0.002  # of a column, as 0.4 % of noiseless sweeps begin
+_OFF_ROW = 0.05
+
+_FEWEST_AT_EDGE = 20
+_BEYOND_EDGE = 0.2
+_INSIDE = 0.92
 
 
 @dataclass(frozen=True)
@@ -105,33 +127,42 @@ def find_misses(range_m: FloatArray) -> list[Misses]:
     """
     groups = []
     left_m = np.sort(range_m)
-    while len(left_m) >= _FEWEST_RETURNS and left_m[-1] - left_m[0] >= _LEAST_DEPTH_M:
-        for width_m, least_share in _SHELLS:
-            limit_m = left_m[-1] - width_m
-            first, first_before = np.searchsorted(
-                left_m, [limit_m, limit_m - _BEFORE * width_m], side="right"
-            )
-            n = len(left_m) - first
-            if least_share <= n / len(left_m) <= _MOST_SHELL_SHARE and n >= 2 * (
-                first - first_before
-            ):
-                break
-        else:
-            break
-        middle_m = np.median(left_m[first:])
-        limit_m = min(limit_m, middle_m - _TAIL * (left_m[-1] - middle_m))
-        left_m = left_m[: np.searchsorted(left_m, limit_m, side="right")]
-        groups.append(Misses(float(middle_m), float(n / len(range_m)), float(limit_m)))
+    while (limit_m := _shell_limit(left_m)) is not None:
+        shell_m = left_m[left_m > limit_m]
+        middle_m = float(np.median(shell_m))
+        tail_m = _TAIL * (left_m[-1] - middle_m)
+        limit_m = float(min(limit_m, middle_m - tail_m))
+        left_m = left_m[left_m <= limit_m]
+        groups.append(Misses(middle_m, len(shell_m) / len(range_m), limit_m))
     return groups
+
+
+def _shell_limit(range_m: FloatArray) -> float | None:
+    """Distance beyond which the farthest points are rays without a return; None if they are returns.
+
+    Parameters
+    ----------
+    range_m : (n,) float64, ascending
+    """
+    if len(range_m) < _FEWEST_RETURNS or range_m[-1] - range_m[0] < _LEAST_DEPTH_M:
+        return None
+    for width_m, least_share in _SHELLS:
+        limit_m = range_m[-1] - width_m
+        n = np.count_nonzero(range_m > limit_m)
+        n_before = np.count_nonzero(range_m > limit_m - _BEFORE * width_m) - n
+        if least_share <= n / len(range_m) <= _MOST_SHELL_SHARE and n >= 2 * n_before:
+            return limit_m
+    return None
 
 
 def misses_text(groups: list[Misses]) -> str:
     """The doubt, with the setting that drops the points."""
-    places = " and ".join(
-        f"{group.share:.0%} of the points lie at {group.range_m:.1f} m" for group in groups
-    )
+    places = [f"{group.share:.0%} of the points lie at {group.range_m:.1f} m" for group in groups]
     limit_m = np.floor(10 * groups[-1].limit_m) / 10
-    return f"{places}: rays without a return? They are left out; set input.max_range_m={limit_m:g} to confirm"
+    return (
+        f"{' and '.join(places)}: rays without a return? "
+        f"They are left out; set input.max_range_m={limit_m:g} to confirm"
+    )
 
 
 def later_returns(sweep: Sweep) -> BoolArray:
@@ -168,9 +199,11 @@ def rounding_of(points: FloatArray) -> float:
         gap_m = np.diff(np.unique(np.round(values, 5)))
         if len(gap_m) < _FEWEST_VALUES:
             return 0.0
-        step_m = np.median(gap_m[gap_m < 1.5 * np.quantile(gap_m, 0.01)])
+        least_m = gap_m[gap_m < 1.5 * np.quantile(gap_m, 0.01)]
+        step_m = np.median(least_m)
         n_steps = gap_m / step_m
-        if np.mean(np.abs(n_steps - np.round(n_steps)) < 0.05) < 0.95:
+        is_multiple = np.abs(n_steps - np.round(n_steps)) < 0.05
+        if is_multiple.mean() < 0.95:
             return 0.0
         steps_m.append(float(step_m))
     return max(steps_m)
@@ -179,9 +212,11 @@ def rounding_of(points: FloatArray) -> float:
 def doubts_of_rounding(step_m: float) -> dict[str, str]:
     """The doubt that coordinates are rounded to a step, by what cannot be trusted."""
     text = f"coordinates are rounded to {100 * step_m:.3g} cm; export them with more digits"
-    if step_m < _ROUNDED_M:
-        return {}
-    return {FRAME: f"{text}, or relative to the sensor"} if step_m > _COARSE_M else {FINE: text}
+    if step_m > _COARSE_M:
+        return {FRAME: f"{text}, or relative to the sensor"}
+    if step_m >= _ROUNDED_M:
+        return {FINE: text}
+    return {}
 
 
 def doubts_without_beams(points: FloatArray) -> dict[str, str]:
@@ -204,7 +239,7 @@ def alternation_text(sweep: Sweep) -> str | None:
     if len(sweep.beam) < _FEWEST_GAPS:
         return None
     runs_m = sliding_window_view(sweep.range_m, 7)
-    is_surface = np.ptp(runs_m, axis=1) < _SURFACE_PART * runs_m[:, 3]
+    is_surface = np.ptp(runs_m.T, axis=0) < _SURFACE_PART * runs_m[:, 3]
     runs_m = runs_m[is_surface & (sweep.beam[6:] == sweep.beam[:-6])]
     if len(runs_m) < _FEWEST_GAPS:
         return None
@@ -232,15 +267,16 @@ def cropped_box(points: FloatArray, other: FloatArray) -> tuple[float, ...] | No
     n_sharp = 0
     for sign in (-1.0, 1.0):
         for axis in (0, 1):
-            places_m = sign * points[:, axis]
-            edge_m = places_m.max()
+            place_m = sign * points[:, axis]
+            edge_m = place_m.max()
             corners.append(float(sign * edge_m))
             beyond_m = sign * other[:, axis] - edge_m
-            n_before = (np.abs(beyond_m + 1.0) < 1.0).sum()
-            n_beyond = (np.abs(beyond_m - 1.0) < 1.0).sum()
-            n_own = (places_m > edge_m - 2.0).sum()
+            n_before = np.count_nonzero(np.abs(beyond_m + 1.0) < 1.0)
+            n_beyond = np.count_nonzero(np.abs(beyond_m - 1.0) < 1.0)
+            n_at_edge = np.count_nonzero(place_m > edge_m - 2.0)
             goes_on = n_beyond > _BEYOND_EDGE * n_before and edge_m < _INSIDE * reach_m
-            n_sharp += goes_on and 2 * n_own > n_before >= _FEWEST_AT_EDGE
+            if goes_on and 2 * n_at_edge > n_before >= _FEWEST_AT_EDGE:
+                n_sharp += 1
     return tuple(corners) if n_sharp > 1 else None
 
 
@@ -255,10 +291,10 @@ def sweeps_text(sweep: Sweep) -> str | None:
     two_deg = two_deg[(two_deg > _SAME_DEG) & (two_deg < _MOST_DEG)]
     if len(two_deg) < _FEWEST_GAPS:
         return None
-    two_steps_deg = (np.bincount((two_deg / _BIN_DEG).astype(int)).argmax() + 0.5) * _BIN_DEG
+    bins = (two_deg / _BIN_DEG).astype(int)
+    two_steps_deg = (np.bincount(bins).argmax() + 0.5) * _BIN_DEG
     for n_sweeps in range(2, _MOST_SWEEPS + 1):
-        share, unevenness, likeness = _repetition(gap_deg, n_sweeps, n_sweeps * two_steps_deg)
-        if unevenness >= _UNEVEN and likeness >= _ALIKE and share * unevenness >= _REPEATED:
+        if _repeats_unevenly(gap_deg, n_sweeps, n_sweeps * two_steps_deg):
             return _SEVERAL_SWEEPS.format(
                 f"The steps of a beam alternate, and repeat after {n_sweeps} returns"
             )
@@ -282,9 +318,9 @@ def image_text(azimuth_deg: FloatArray, step_deg: float, elevation_deg: FloatArr
     n_columns = round(360.0 / step_deg)
     off_centre = np.abs(azimuth_deg * n_columns / 360.0 % 1.0 - 0.5)
     apart_deg = np.diff(elevation_deg)
-    if np.mean(off_centre < _OFF_CENTRE) < _MOST or not any(
-        _are_multiples(apart_deg, apart_deg.min() / n_rows) for n_rows in (1, 2, 3)
-    ):
+    row_deg = apart_deg.min()
+    is_even = any(_are_multiples(apart_deg, row_deg / n_rows) for n_rows in (1, 2, 3))
+    if not is_even or np.mean(off_centre < _OFF_CENTRE) < _MOST_CENTRED:
         return None
     return (
         f"the directions are those of a range image of {n_columns} columns, not of returns; "
@@ -312,7 +348,8 @@ def thinned_text(sweep: Sweep, points: FloatArray) -> str | None:
     nearer_m = sweep.nearer_m
     is_gap = (gap_deg > _SAME_DEG) & (gap_deg < _MOST_DEG)
     is_surface = is_gap & (sweep.apart_m < _SAME_DEPTH * nearer_m)
-    near_deg = gap_deg[is_surface & (nearer_m > _NEAREST_GRID_M) & (nearer_m < _NEAR_GRID_M)]
+    is_near = (nearer_m > _NEAREST_GRID_M) & (nearer_m < _NEAR_GRID_M)
+    near_deg = gap_deg[is_surface & is_near]
     far_deg = gap_deg[is_surface & (nearer_m > _FAR_GRID_M)]
     if min(len(near_deg), len(far_deg)) < _FEWEST_OF_GRID:
         return _grid_text(points)
@@ -331,9 +368,11 @@ def _grid_text(points: FloatArray) -> str | None:
     ----------
     points : (n, 3) float64, metres
     """
-    apart_m, _ = scipy.spatial.cKDTree(points).query(points[:: -(-len(points) // _SAMPLE)], k=2)
+    sample = points[:: math.ceil(len(points) / _SAMPLE)]
+    apart_m, _ = scipy.spatial.cKDTree(points).query(sample, k=2)
+    nearest_m = np.median(apart_m[:, 1])
     for size_m in _GRIDS_M:
-        if np.median(apart_m[:, 1]) > size_m:
+        if nearest_m > size_m:
             continue
         for origin in (np.zeros(3), points.min(axis=0) - size_m / 2):
             if not shares_voxel(points - origin, size_m).any():
@@ -341,26 +380,30 @@ def _grid_text(points: FloatArray) -> str | None:
     return None
 
 
-def _repetition(gap_deg: FloatArray, n: int, most_deg: float) -> tuple[float, float, float]:
-    """Share of groups of 2 n gaps in which any n have the same sum, their unevenness, and likeness of both halves.
+def _repeats_unevenly(gap_deg: FloatArray, n: int, most_deg: float) -> bool:
+    """True if gaps are uneven and repeat after n of them.
 
-    Unevenness is the standard deviation of the gaps over their mean; likeness is the correlation of both halves.
+    In enough groups of 2 n gaps, any n in a row have about the same sum, the standard deviation of the gaps is a fifth
+    of their mean or more, and both halves correlate.
     """
     groups = sliding_window_view(gap_deg, 2 * n)
-    groups = groups[:: -(-len(groups) // _MOST_GROUPS)]
-    sums = sliding_window_view(groups, n, axis=1).sum(axis=2)
+    chosen = slice(None, None, math.ceil(len(groups) / _MOST_GROUPS))
+    groups = groups[chosen]
+    sums = sliding_window_view(sliding_window_view(gap_deg, n).T.sum(axis=0), n + 1)[chosen]
     with np.errstate(invalid="ignore"):  # NaN between beams
-        turn_deg = np.median(sums, axis=1)
-        is_alike = np.abs(sums - turn_deg[:, None]) < 0.1 * turn_deg[:, None]
-        is_repeated = is_alike.all(axis=1) & (turn_deg < most_deg)
-    if not is_repeated.any():
-        return 0.0, 0.0, 0.0
-    off = groups[is_repeated] * (n / turn_deg[is_repeated])[:, None] - 1.0
+        sum_deg = np.median(sums, axis=1, keepdims=True)
+        is_alike = np.abs(sums - sum_deg) < 0.1 * sum_deg
+        is_repeated = is_alike.all(axis=1) & (sum_deg[:, 0] < most_deg)
+    off = groups[is_repeated] * (n / sum_deg[is_repeated]) - 1.0
     first = off[:, :n]
     second = off[:, n:]
-    power = float((first**2).sum() * (second**2).sum())
-    likeness = float((first * second).sum()) / np.sqrt(power) if power else 0.0
-    return float(is_repeated.mean()), float(np.sqrt((first**2).mean())), likeness
+    power = (first**2).sum() * (second**2).sum()
+    if not power:
+        return False
+    unevenness = np.sqrt((first**2).mean())
+    likeness = (first * second).sum() / np.sqrt(power)
+    repeated = is_repeated.mean() * unevenness
+    return bool(unevenness >= _UNEVEN and likeness >= _ALIKE and repeated >= _REPEATED)
 
 
 def _is_several_sweeps(points: FloatArray) -> bool:
@@ -373,12 +416,14 @@ def _is_several_sweeps(points: FloatArray) -> bool:
     points : (n, 3) float64, in the order of the file
     """
     row = (slopes_deg(points) + 90.0) // _CELL_DEG
-    cell = row * 361 + (azimuths_deg(points) + 180.0) // _CELL_DEG
+    column = (azimuths_deg(points) + 180.0) // _CELL_DEG
+    cell = row * 361 + column
     for n_sweeps in (2, 3, 5, 10):
         n_rows = len(points) // n_sweeps
         first = np.unique(cell[:n_rows])
         last = np.unique(cell[-n_rows:])
-        if len(np.intersect1d(first, last)) > _SAME_CELLS * max(len(first), len(last)):
+        n_common = len(np.intersect1d(first, last))
+        if n_common > _SAME_CELLS * max(len(first), len(last)):
             parts = (points[:n_rows], points[-n_rows:])
             if any(isinstance(find_beams(part), BeamPattern) for part in parts):
                 return True
@@ -389,7 +434,7 @@ def _is_several_sweeps(points: FloatArray) -> bool:
 def is_far_from_origin(points: FloatArray, near_m: float = _NEAR_M) -> bool:
     """True if hardly any point lies near the origin, where the sensor should be."""
     range_m = np.linalg.norm(points[points.any(axis=1)], axis=1)
-    return len(range_m) > 0 and float((range_m < near_m).mean()) < _NEAR_SHARE
+    return bool(np.count_nonzero(range_m < near_m) < _NEAR_SHARE * len(range_m))
 
 
 def _position_text(points: FloatArray) -> str | None:
@@ -404,9 +449,11 @@ def _position_text(points: FloatArray) -> str | None:
     if is_far_from_origin(points, _NEAR_ROAD_M):
         reason = f"nothing within {_NEAR_ROAD_M:g} m of the origin (are they in metres?)"
     else:
-        sample = points[np.random.default_rng(0).permutation(len(points))[:_SAMPLE]]
+        rows = np.random.default_rng(0).permutation(len(points))
+        sample = points[rows[:_SAMPLE]]
         apart_m, _ = scipy.spatial.cKDTree(sample).query(sample, k=_NEIGHBOURS)
-        dense = sample[np.argsort(apart_m[:, -1])[: len(sample) // _DENSE_PART]]
+        densest = np.argsort(apart_m[:, -1])
+        dense = sample[densest[: len(sample) // _DENSE_PART]]
         place_m = float(np.hypot(*np.median(dense[:, :2], axis=0)))
         if place_m < _DENSE_M:
             return None

@@ -69,7 +69,9 @@ def test_a_script_of_twelve_lines_does_the_same_in_python(tmp_path, monkeypatch,
     text = capsys.readouterr().out
     assert "worse 2 pairs of 2 places" in text
     assert names["comparison"].causes.words[0] == "world 11 cm too low"
-    assert list(names["comparison"].table["name"])[:1] == [names["comparison"].scores[0].name]
+    assert list(names["comparison"].table["name"])[:1] == [
+        names["comparison"].families[0].scores[0].name
+    ]
     assert names["diagnosed"].diagnosis.n_pairs == 2
 
 

@@ -79,7 +79,7 @@ def diagnose(
         from ..report.views.compare_view import changed_since
         from ..results.compare import compare_runs
 
-        (comparison,) = compare_runs([since, sources[0]], reporter=Reporter())
+        (comparison,) = compare_runs([since, sources[0]])
         view += changed_since(comparison)
         values |= {"since": str(since), "changes": comparison.as_dict()["causes"]}
     if as_json:
@@ -157,8 +157,9 @@ def tasks(
         view = views.odometry_view(rows)
         values = [*rows]
     else:
-        view = tasks_view(finished.task_summaries)
-        values = [summary.as_dict() for summary in finished.task_summaries]
+        finished.refuse_without_tasks()
+        view = tasks_view(finished.record.tasks)
+        values = [summary.as_dict() for summary in finished.record.tasks]
     if as_json:
         print_json(values)
     else:

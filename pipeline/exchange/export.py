@@ -7,7 +7,6 @@ scalar fields as CloudCompare names them. All numbers keep 64 bits.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib.util import find_spec
 from itertools import product
@@ -138,8 +137,7 @@ def message_times(run: FinishedRun, names: Sequence[str]) -> tuple[dict[str, int
     known_s = {times_s[name] for name in names if 0 <= times_s.get(name, -1.0) < _LATEST_S}
     if len(known_s) == len(names):
         return {name: round(times_s[name] * _NS) for name in names}, "of the dataset"
-    seconds = enumerate(run.scored, 1)
-    return {row["pair_id"]: second * _NS for second, row in seconds}, "one second apart"
+    return {name: second * _NS for second, name in enumerate(run.names, 1)}, "one second apart"
 
 
 def pair_clouds(
@@ -247,6 +245,4 @@ def _write_bag(
                     if topic not in connections:
                         connections[topic] = writer.add_connection(topic, kind, typestore=store)
                     writer.write(connections[topic], time_ns, store.serialize_cdr(message, kind))
-            with (bag / "bag.mcap").open("rb") as file:
-                os.fsync(file.fileno())
             (bag / "bag.mcap").replace(path)

@@ -106,7 +106,7 @@ def _prepare(
         refuse_link(out / side)
     earlier = _earlier_recipe(out / recipe_name)
     kind = f"a dataset of fidpipe {recipe_name.removesuffix('.toml')}"
-    refuse_other_content(f"dataset {out}", out, kind, is_own=bool(earlier), other="folder")
+    refuse_other_content(f"dataset {out}", out, kind, is_own=bool(earlier))
     text = tomli_w.dumps(recipe)
     now = tomllib.loads(text)
     changed = [name for name in earlier | now if earlier.get(name) != now.get(name)]
@@ -119,7 +119,7 @@ def _prepare(
             lost.append(path)
     if lost and not replace and (out / MANIFEST).exists():
         why = [f"other {name}" for name in changed]
-        refuse_overwrite(f"dataset {out}", f"{len(lost)} of its files", why, "folder")
+        refuse_overwrite(f"dataset {out}", f"{len(lost)} of its files", why)
     for path in [out / MANIFEST, out / LABEL_NAMES, *lost]:
         path.unlink(missing_ok=True)
     write_whole(out / recipe_name, text.encode())

@@ -233,7 +233,7 @@ def _check_scan(
     n_clean = len(clean.points)
     fault = None
     if n_clean < MIN_OBJECT_POINTS:
-        fault = f"{ref}: {too_few_left(n_clean, MIN_OBJECT_POINTS, clean.dropped, inputs)}"
+        fault = f"{ref}: {too_few_left(clean, MIN_OBJECT_POINTS, inputs)}"
     check = ScanCheck(
         sha256=content.sha256,
         n_raw=len(scan.points),

@@ -16,7 +16,6 @@ from ..stage import (
     DISTANCES,
     OF_PAIR,
     UNEXPLAINED,
-    Grain,
     Inputs,
     JobResult,
     Stage,
@@ -50,7 +49,7 @@ def _result(inputs: Inputs, gains: Shares) -> JobResult:
         DISTANCES: [gains.before_m, gains.after_m, gains.best_case_m],
         AMOUNTS: dict(inputs.arguments),
     }
-    return JobResult({"gains": inputs.rows("gains", rows)}, metadata)
+    return JobResult(inputs.rows("gains", rows), metadata)
 
 
 def gains_stage(amounts: dict[str, float]) -> Stage:
@@ -63,7 +62,6 @@ STAGE = Stage(
     takes=("ground", "sensor", "causes"),
     gives=("gains",),
     settings=("input",),
-    grain=Grain.PAIR,
     make=make_gains,
     is_wanted=lambda settings: False,
 )

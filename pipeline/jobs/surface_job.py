@@ -7,7 +7,7 @@ import numpy as np
 from ...schemas.columns import Row
 from ...schemas.metric_catalogue import SHIFT_COLUMNS
 from ...stages.surface import Offsets, compare_roughness, describe_surface, measure_offsets
-from ..stage import OF_PAIR, Grain, Inputs, JobResult, Stage
+from ..stage import OF_PAIR, Inputs, JobResult, Stage
 from .points_job import column, object_points
 
 
@@ -23,10 +23,10 @@ def make_surface(inputs: Inputs) -> JobResult:
         objects = measure_offsets(real_surface, sim_surface, labels)
     ids = np.arange(len(objects.n_points))
     of_objects = _columns(objects) | {"real_id": ids}
-    table = inputs.columns("surface", of_objects, _columns(whole))
-    (shift,) = table.select(SHIFT_COLUMNS).slice(len(ids)).to_pylist()
+    tables = inputs.columns("surface", of_objects, _columns(whole))
+    (shift,) = tables["surface"].select(SHIFT_COLUMNS).slice(len(ids)).to_pylist()
     roughness = compare_roughness(real_surface, sim_surface)
-    return JobResult({"surface": table}, {OF_PAIR: shift | roughness})
+    return JobResult(tables, {OF_PAIR: shift | roughness})
 
 
 def _columns(offsets: Offsets) -> Row:
@@ -38,7 +38,6 @@ STAGE = Stage(
     name="surface",
     takes=("ground", "communities"),
     gives=("surface",),
-    grain=Grain.PAIR,
     make=make_surface,
     libraries=("scikit-learn",),
 )

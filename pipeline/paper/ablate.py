@@ -76,7 +76,7 @@ def make_ablation(inputs: Inputs) -> JobResult:
             if tables is None:
                 tables, _ = run_in_memory(PARTITION, used, tables=ground)
             rows.append(parameters._asdict() | score_pair(used, tables))
-    return JobResult({"ablate": inputs.rows("ablate", rows)})
+    return JobResult(inputs.rows("ablate", rows))
 
 
 STAGE = experiment_stage("ablate", 4, ("ablate",), make_ablation)

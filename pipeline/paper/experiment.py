@@ -29,7 +29,7 @@ from ..engine.worker import PairTables, run_in_memory
 from ..jobs import STAGES, baselines_job
 from ..run import Run
 from ..run_tables import records_of, write_table
-from ..stage import SCAN, Grain, Inputs, JobResult, Stage
+from ..stage import SCAN, Inputs, JobResult, Stage
 from ..storage.files import key_of
 from ..storage.folder import RunFolder, check_folder
 from ..storage.run_record import library_versions, write_record
@@ -79,7 +79,6 @@ def experiment_stage(
         takes=(SCAN,),
         gives=tables,
         settings=(*groups, name),
-        grain=Grain.PAIR,
         version=version + sum(stage.version for stage in stages),
         make=make,
         libraries=tuple(dict.fromkeys(libraries)),
@@ -173,9 +172,8 @@ class _ExperimentRun(Run):
 
     def write_results(self) -> None:
         """Write the record of an experiment that has ended."""
-        self._end_phase("total")
-        wall_s = sum(self._wall_s.values())
         failures = self.collector.failures
+        wall_s = self.wall_s["total"]
         self._write_record(self._header(), failures=failures, wall_s=wall_s)
 
     def _write_record(self, record: RunHeader, **results: Any) -> None:

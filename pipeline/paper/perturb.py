@@ -148,13 +148,10 @@ def make_perturbations(inputs: Inputs) -> JobResult:
             scores, baselines = _altered_object(before, level, trial["seed"], settings)
             object_rows.append(names | scores)
             baseline_rows += [names | baseline for baseline in baselines]
-    return JobResult(
-        {
-            "perturb_global": inputs.rows("perturb_global", global_rows),
-            "perturb_objects": inputs.rows("perturb_objects", object_rows),
-            "perturb_baselines": inputs.rows("perturb_baselines", baseline_rows),
-        }
-    )
+    results = inputs.rows("perturb_global", global_rows)
+    results |= inputs.rows("perturb_objects", object_rows)
+    results |= inputs.rows("perturb_baselines", baseline_rows)
+    return JobResult(results)
 
 
 STAGE = experiment_stage(

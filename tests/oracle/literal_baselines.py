@@ -32,6 +32,7 @@ def of_points(
         "chamfer_squared_m2": math.fsum(to_sim**2) / len(to_sim)
         + math.fsum(to_real**2) / len(to_real),
         "chamfer_one_way_sum_m": math.fsum(to_sim),
+        "hausdorff_m": max(*to_sim.tolist(), *to_real.tolist()),
         "f_score": 2 * precision * recall / (precision + recall) if precision + recall else 0.0,
         "dcd": dcd(real, sim, settings["dcd_alpha"]),
         "histogram": histogram(real, sim, settings),

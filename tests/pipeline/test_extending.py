@@ -157,7 +157,13 @@ def test_the_baseline_is_computed_swept_and_timed(again, dataset, tmp_path):
     assert {"box_overlap", "box_overlap, whole scan"} <= set(timings.step)
     words = ("--sweep", "dropout=0.4", "--repeats", 1, "--global-repeats", 0, "--workers", 1)
     package.fidpipe(
-        "perturb", dataset, "--out", tmp_path / "perturb", "--metrics", "box_overlap", *words
+        "perturb",
+        dataset,
+        "--out",
+        tmp_path / "perturb",
+        "--set",
+        "metrics.baselines=box_overlap",
+        *words,
     )
     assert (
         pd.read_parquet(tmp_path / "perturb" / "perturb_baselines.parquet")

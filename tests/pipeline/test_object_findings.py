@@ -5,7 +5,6 @@ import pandas as pd
 import pytest
 
 from fidpipe.pipeline.results.overview import object_groups
-from fidpipe.stages.statistics.bands import BAND_EDGES_M
 
 FATES = {"real": "not_found", "sim": "extra"}
 
@@ -19,7 +18,6 @@ def both_sides(real, sim):
         frames.append(frame.assign(side=side, cdc=cdc, r_lambda=r_lambda))
     objects = pd.concat(frames).astype({"range_m": float, "is_matched": bool})
     objects["fate"] = objects["side"].map(FATES).mask(objects["is_matched"], "matched")
-    objects["band"] = np.digitize(objects["range_m"], BAND_EDGES_M) - 1
     return objects.assign(n_points=10, covered_0p3m=0.6, r_gap=0.0)
 
 

@@ -19,6 +19,7 @@ from fidpipe.stages.baselines import (
     dcd,
     earth_movers,
     f_score,
+    hausdorff,
     histogram,
     nvs,
 )
@@ -90,6 +91,7 @@ def test_a_shift_moves_the_distances_and_not_the_shapes(car):
         assert values[name].value == pytest.approx(0.3), name
     for name in ("emd_centred_mean_m", "histogram"):
         assert values[name].value == pytest.approx(0, abs=1e-5), name
+    assert values["hausdorff_m"].value == pytest.approx(0.3, abs=0.15)
 
 
 def test_unequal_sizes_are_said_where_dcd_was_cut(car):
@@ -150,6 +152,11 @@ def test_chamfer_by_hand():
     assert mean_m == pytest.approx((1 + math.sqrt(2) + math.sqrt(5)) / 3 + (1 + 3) / 2)
     assert squared_m2 == pytest.approx((1 + 2 + 5) / 3 + (1 + 9) / 2)
     assert one_way_sum_m == pytest.approx(1 + math.sqrt(2) + math.sqrt(5))
+
+
+def test_hausdorff_by_hand_is_the_worst_point_of_either_side():
+    assert value(hausdorff, REAL, SIM) == 3
+    assert value(hausdorff, SIM, REAL) == 3
 
 
 def test_f_score_by_hand():

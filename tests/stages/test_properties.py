@@ -37,6 +37,7 @@ PROFILE = settings(max_examples=40, deadline=None, database=None, derandomize=Tr
 BOTH_WAYS = (
     "chamfer_mean_m",
     "chamfer_squared_m2",
+    "hausdorff_m",
     "f_score",
     "histogram",
 )

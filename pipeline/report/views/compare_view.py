@@ -120,8 +120,6 @@ def reasons(comparison: Comparison) -> dict[str, list[Item]]:
 def answer(comparison: Comparison, n_places: int = _MOST_PLACES) -> Answers:
     """The causes and families behind a decision, where to look (at so many), and how pairs were counted."""
     sections = _by_verdict(comparison)
-    if comparison.lacks_places:
-        sections.append(("These frames", items_of(*_moved(comparison))))
     worst = worst_changes(comparison.objects, n_places)
     names = shortened({row["pair_id"] for row in worst}, _PAIR_WIDTH)
     where = [f"{names[row['pair_id']]}  {place_words(row)}" for row in worst]
@@ -145,16 +143,6 @@ def _by_verdict(comparison: Comparison) -> list[tuple[str, Sequence[Item]]]:
 def place_words(row: Row) -> str:
     """A changed real object in words."""
     return f"{row['label'] or row['shape']}, {row['range_m']:.0f} m away: {row['kind']}"
-
-
-def _moved(comparison: Comparison) -> list[str]:
-    """The families that moved clearly on the scans at hand, by their clearest score."""
-    names: dict[str, list[str]] = {"worse": [], "better": []}
-    for family in comparison.families:
-        clear = [score.towards for score in family.scores if score.is_clear]
-        if clear and clear[0]:
-            names[clear[0]].append(family.name)
-    return [f"{towards}: {', '.join(moved)}" for towards, moved in names.items() if moved]
 
 
 def chance(comparison: Comparison) -> str:
@@ -198,9 +186,6 @@ def remarks(comparison: Comparison) -> list[Note]:
         lines.append(f"seen, but undoing it brings nothing closer: {doubtful}")
     if comparison.on_partition:
         lines.append(comparison.on_partition)
-    by_seeds = [score.name for score in comparison.scores if score.is_by_seeds]
-    if by_seeds:
-        lines.append(f"no more than Louvain seeds alone make: {', '.join(by_seeds)}")
     n_unfollowed = len(comparison.unfollowed)
     if n_unfollowed:
         lines.append(
