@@ -438,7 +438,7 @@ def _is_nearer(
 
 
 def _setting(candidate: _Candidate, settings: InputSettings, motion: FloatArray) -> str:
-    """Text of the settings that select a candidate."""
+    """Changes of settings and data that select a candidate, as text; "" if there are none."""
     parts = []
     if candidate.unit:
         parts.append(f"simulated points in metres (they are in {candidate.unit})")
@@ -462,12 +462,22 @@ def _setting(candidate: _Candidate, settings: InputSettings, motion: FloatArray)
 
 
 def _frames_and_motion(
-    M: FloatArray, real: FrameName, sim: FrameName, motion: FloatArray
+    M: FloatArray,
+    real: FrameName,
+    sim: FrameName,
+    motion: FloatArray,
 ) -> tuple[FrameName, FrameName, FloatArray]:
-    """Frames of both sides and T_real_sim that place the simulated scan as M does; only frames if possible.
+    """Frames of both sides and T_real_sim that place the simulated scan as a candidate does.
 
-    With p_ros = F p on each side, M F_sim q coincides with F_real p. Other frames F' have the same effect with [R | t']
-    if F'_real F_real^-1 M_R F_sim = R F'_sim, for the present R; the fewest frames are changed.
+    The rotation R of T_real_sim stays if other frames are enough, as few of them as possible. A frame F converts points
+    to p_ros = F p. The candidate places the simulated point q at M F_sim q, next to F_real p of the real scan. Other
+    frames F' with [R | t'] do so, too, if F'_real F_real^-1 M_R F_sim = R F'_sim.
+
+    Parameters
+    ----------
+    M : (3, 4) float64, of the candidate
+    real, sim : present frames
+    motion : (3, 4) float64, present T_real_sim
     """
     R = motion[:, :3]
     sim_axes = M[:, :3] @ _FRAMES[sim]
