@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..schemas.settings import Box, FrameName, InputSettings
-from .arrays import BoolArray, FloatArray, IntArray
+from .arrays import BoolArray, FloatArray, IntArray, moved
 from .thinning import repeats_earlier_row, shares_voxel
 from .trust import find_misses
 
@@ -87,9 +87,7 @@ def clean_scan(
     drop("too_near", near)
     drop("too_far", range_m[~near] > settings.max_range_m)
     drop("in_exclude_box", inside(points, settings.exclude_box, default=False))
-    points = as_ros(points, frame)
-    if T_real_sim is not None:
-        points = points @ T_real_sim[:, :3].T + T_real_sim[:, 3]
+    points = moved(as_ros(points, frame), T_real_sim)
     drop("outside_include_box", ~inside(points, settings.include_box))
     if settings.voxel_m is not None:
         drop("thinned", shares_voxel(points, settings.voxel_m))

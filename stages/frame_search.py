@@ -17,7 +17,7 @@ import scipy
 
 from ..schemas.data_files import read_data
 from ..schemas.settings import FRAME_AXES, Box, FrameName, InputSettings
-from .arrays import BoolArray, FloatArray, IndexArray, level_m
+from .arrays import BoolArray, FloatArray, IndexArray, level_m, moved
 from .clean import as_ros, clean_scan, inside
 from .thinning import shares_voxel
 from .trust import is_far_from_origin
@@ -219,7 +219,7 @@ class _Candidate:
 
     def placed(self, points: FloatArray) -> FloatArray:
         """Points of the simulated scan, transformed."""
-        return points @ self.M[:, :3].T + self.M[:, 3]
+        return moved(points, self.M)
 
     def lifted(self, lift_m: float) -> _Candidate:
         """The candidate with the simulated scan higher."""
