@@ -12,11 +12,11 @@ from .thinning import repeats_earlier_row, shares_voxel
 from .trust import find_misses
 
 #: Column and sign of x forward, y left and z up in each frame.
-_AXES: dict[FrameName, tuple[tuple[int, int, int], tuple[float, float, float]]] = {
-    "ros": ((0, 1, 2), (1.0, 1.0, 1.0)),
-    "carla": ((0, 1, 2), (1.0, -1.0, 1.0)),
-    "nuscenes": ((1, 0, 2), (1.0, -1.0, 1.0)),
-    "kitti-cam": ((2, 0, 1), (1.0, -1.0, -1.0)),
+_AXES: dict[FrameName, tuple[list[int], list[float]]] = {
+    "ros": ([0, 1, 2], [1.0, 1.0, 1.0]),
+    "carla": ([0, 1, 2], [1.0, -1.0, 1.0]),
+    "nuscenes": ([1, 0, 2], [1.0, -1.0, 1.0]),
+    "kitti-cam": ([2, 0, 1], [1.0, -1.0, -1.0]),
 }
 
 
@@ -111,7 +111,7 @@ def as_ros(points: FloatArray, frame: FrameName) -> FloatArray:
     if frame == "ros":
         return points
     columns, signs = _AXES[frame]
-    return points[:, columns] * np.array(signs)
+    return points[:, columns] * signs
 
 
 def at_sensor(points: FloatArray, side: str, settings: InputSettings) -> FloatArray:
@@ -171,4 +171,6 @@ def inside(points: FloatArray, box: Box | None, *, default: bool = True) -> Bool
     """True for points in the box, bounds included, (n,) bool; without a box, the default for all points."""
     if box is None:
         return np.full(len(points), default)
-    return np.all((points >= box[:3]) & (points <= box[3:]), axis=1)
+    low = box[:3]
+    high = box[3:]
+    return np.all((points >= low) & (points <= high), axis=1)

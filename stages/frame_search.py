@@ -229,7 +229,10 @@ class _Candidate:
 
 
 def check_frames(
-    real: FloatArray, sim: FloatArray, settings: InputSettings, T_real_sim: FloatArray | None = None
+    real: FloatArray,
+    sim: FloatArray,
+    settings: InputSettings,
+    T_real_sim: FloatArray | None = None,
 ) -> FrameCheck | None:
     """Compare the coverage of the scans as given with that of the best candidate; None if there are too few points.
 
@@ -267,7 +270,8 @@ def check_frames(
     sources = _sources(sim, reach_ratio, settings)
     if len(target.points) < _MIN_POINTS or not sources:
         return None
-    given = _Candidate(target, sources.get("") or _Side(sim[:0]), motion)
+    metres = sources.get("") or _Side(sim[:0])
+    given = _Candidate(target, metres, motion)
     best = _search(given, sources)
     if "" in sources:
         sizes = _sizes(given, reach_ratio, best.coverage)
@@ -305,7 +309,8 @@ def ground_height(points: FloatArray) -> float:
     steps = np.floor(points[:, 2] / _GROUND_STEP_M).astype(np.int64)
     counts = np.bincount(steps - steps.min())
     width = round(2 * _GROUND_BAND_M / _GROUND_STEP_M)
-    fullest = int(np.convolve(counts, np.ones(width), "full").argmax())  # the last step of the band
+    in_bands = np.convolve(counts, np.ones(width), "full")
+    fullest = int(in_bands.argmax())  # the last step of the band
     return float((steps.min() + fullest + 1) * _GROUND_STEP_M - _GROUND_BAND_M)
 
 
@@ -397,7 +402,8 @@ def _reach_m(points: FloatArray) -> float:
     """Median distance of the points; 0 without any."""
     if not len(points):
         return 0.0
-    return float(np.median(np.hypot(level_m(points), points[:, 2])))
+    distance_m = np.hypot(level_m(points), points[:, 2])
+    return float(np.median(distance_m))
 
 
 def _levelled(start: _Candidate) -> _Candidate | None:
@@ -416,7 +422,8 @@ def _levelled(start: _Candidate) -> _Candidate | None:
         is_near = np.isfinite(apart)
         if is_near.sum() < _MIN_GROUND_POINTS:
             return None
-        step_m = float(np.median(ground[row[is_near], 2] - z[is_ground][is_near]))
+        above_m = ground[row[is_near], 2] - z[is_ground][is_near]
+        step_m = float(np.median(above_m))
     levelled = start.lifted(change_m)
     if abs(step_m) > _MAX_LIFT_LEFT_M or abs(levelled.lift_m) < _MIN_LIFT_M:
         return None
