@@ -120,7 +120,7 @@ def _nearest(
         Too many points have all these within `near_m`.
     """
     n = len(points)
-    tree = scipy.spatial.cKDTree(points, leafsize=_LEAF_SIZE)
+    tree = scipy.spatial.cKDTree(points, leafsize=_LEAF_SIZE, balanced_tree=False)
     neighbours = np.empty((n, k), dtype=np.int32)
     farthest_m = np.empty(n)
     is_open = np.empty(n, dtype=bool)
@@ -147,11 +147,9 @@ def _nearest(
 
 def _pairs_of_neighbours(neighbours: IntArray) -> scipy.sparse.csr_matrix:
     """Pairs of points of which either is a neighbour of the other, (n, n) CSR bool, smaller index in the row."""
-    n = len(neighbours)
-    is_later = neighbours > np.arange(n)[:, None]
-    later = _matrix_of(neighbours, is_later)
-    earlier = _matrix_of(neighbours, ~is_later)
-    return later.T.tocsr().T.tocsr() + earlier.T.tocsr()  # transposing sorts in linear time
+    neighbours = np.sort(neighbours, axis=1)
+    is_later = neighbours > np.arange(len(neighbours))[:, None]
+    return _matrix_of(neighbours, is_later) + _matrix_of(neighbours, ~is_later).T.tocsr()
 
 
 def _matrix_of(neighbours: IntArray, is_chosen: BoolArray) -> scipy.sparse.csr_matrix:
@@ -199,7 +197,7 @@ def _distance(points: FloatArray, src: NDArray[np.integer], dst: NDArray[np.inte
     squared = np.zeros(len(src))
     for axis in points.T:
         along = np.ascontiguousarray(axis)
-        step = along[src] - along[dst]
+        step = along.take(src) - along.take(dst)
         step *= step
         squared += step
     return np.sqrt(squared, out=squared)
