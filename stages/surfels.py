@@ -86,7 +86,7 @@ def fit_planes(
         share = 2 * np.where(is_near, distance_m, 0.0) / reach_m
         weight = is_near * np.exp(-(share**2))
         total = np.maximum(weight.sum(axis=1), 1e-300)[:, None]
-        offset = points[np.where(is_near, ids, 0)] - place[:, None]
+        offset = points.take(np.where(is_near, ids, 0), axis=0) - place[:, None]
         mean = np.einsum("nk,nkd->nd", weight, offset) / total
         centred = (offset - mean[:, None]) * np.sqrt(weight / total)[..., None]
         variance, axes = np.linalg.eigh(centred.transpose(0, 2, 1) @ centred)

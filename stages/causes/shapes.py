@@ -27,8 +27,8 @@ def foliage_steps(real: Side, sim: Side) -> tuple[IndexArray, FloatArray]:
     planes = real.object_planes
     is_leaf = (planes.scattering >= SCATTERED) & (planes.variance[:, 2] < _LEAF_SPREAD_M**2)
     leaves = real.object_rows[is_leaf]
-    angle, near = sim.ray_tree.query(real.rays[leaves])
-    is_met = angle < np.radians(_RAY_DEG)
+    angle, near = sim.ray_tree.query(real.rays[leaves], distance_upper_bound=np.radians(_RAY_DEG))
+    is_met = np.isfinite(angle)
     return near[is_met], sim.range_m[near[is_met]] - real.range_m[leaves[is_met]]
 
 
