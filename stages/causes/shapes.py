@@ -79,7 +79,7 @@ def _fit_inverse_range(side: Side, rows: IndexArray) -> tuple[FloatArray, FloatA
     across = np.einsum("nkd,nd->nk", offset, level)
     columns = np.stack([np.ones(near.shape), across, offset[:, :, 2]], axis=2)
     inverse = (1.0 / side.range_m)[near]
-    gram = np.einsum("nki,nkj->nij", columns, columns) + 1e-9 * np.eye(3)
+    gram = columns.transpose(0, 2, 1) @ columns + 1e-9 * np.eye(3)
     fit = np.linalg.solve(gram, np.einsum("nki,nk->ni", columns, inverse)[..., None])[..., 0]
     error = np.einsum("nki,ni->nk", columns, fit) - inverse
     return fit[:, 0], np.sqrt((error**2).mean(axis=1)) * side.range_m[rows]

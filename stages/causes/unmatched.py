@@ -66,10 +66,10 @@ def explain_directions(real: Side, sim: Side) -> Explained:
     exchanged, is_exchanged_real, is_exchanged_sim = _find_exchanged(real, sim)
     if real.sensor.elevation_deg and not exchanged:
         beam = real.sensor.beam_of(real.sensor_points)
-        dead = dead_beams(real.sensor, real.chosen(~is_blind), sim)
+        dead = dead_beams(real.sensor, beam[~is_blind], sim)
         is_dead = np.isin(beam, dead)
         if _is_cut(real, is_near & ~is_dead):
-            dead = dead_beams(real.sensor, real.chosen(~is_blind & ~is_near), sim)
+            dead = dead_beams(real.sensor, beam[~is_blind & ~is_near], sim)
             is_dead = np.isin(beam, dead)
     is_near &= _is_cut(real, is_near & ~is_dead)
     return Explained(
