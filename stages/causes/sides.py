@@ -102,9 +102,8 @@ class Side:
         """Chord from some rays to the nearest others, and the rows of these, (k, n_around) each."""
         chord, near = self.ray_tree.query(self.rays[rows], k=n_around + 1)
         is_self = near == rows[:, None]
-        is_self[~is_self.any(axis=1), -1] = (
-            True  # more other rays than these have the same direction
-        )
+        has_no_self = ~is_self.any(axis=1)  # more other rays than these have the same direction
+        is_self[has_no_self, -1] = True
         return chord[~is_self].reshape(-1, n_around), near[~is_self].reshape(-1, n_around)
 
     @cached_property

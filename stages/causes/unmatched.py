@@ -20,10 +20,8 @@ _WIDE_GAP_DEG = (30.0, 330.0)
 _DENSE_DEG = 0.35  # azimuth between returns up to which sectors are fine
 #: A point without a counterpart is farther from the other side than this, and this times its range.
 _APART_M, _APART_PER_M = 0.25, 0.01
-_CUT, _N_AROUND = (
-    0.003,
-    36,
-)  # of the points of beams that are not dead, and sectors, in which a minimum range cuts
+#: Share of the points of beams that are not dead, and number of sectors, in which a minimum range cuts.
+_CUT, _N_AROUND = 0.003, 36
 _CLUTTER_M = 6.0  # nearer returns without a real counterpart are clutter
 _CUT_M = 0.1  # beyond the nearest return, where cleaning may drop that of one side only
 _CLUSTER_M = 0.6
