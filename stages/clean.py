@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,13 +74,13 @@ def clean_scan(
             ids = ids[~is_dropped]
             points = points[~is_dropped]
 
-    drop("not_finite", ~_all(np.isfinite(points)))
-    drop("zero", _all(points == 0))
+    drop("not_finite", ~np.all(np.isfinite(points), axis=1))
+    drop("zero", ~np.any(points, axis=1))
     drop("duplicate", repeats_earlier_row(points))
     with np.errstate(over="ignore"):  # an infinite range is too far
         range_m = np.sqrt((points**2).sum(axis=1))
-    misses = find_misses(range_m)
-    is_no_return = range_m > (misses[-1].limit_m if misses else np.inf)
+    limit_m, _ = find_misses(range_m)
+    is_no_return = range_m > limit_m
     drop("no_return", is_no_return)
     range_m = range_m[~is_no_return]
     near = range_m < settings.min_range_m
@@ -129,12 +128,12 @@ def seen_from(
     position: tuple[float, float, float],
     T_real_sim: FloatArray | None,
 ) -> FloatArray | None:
-    """T_real_sim of points whose origin has moved to a position of both sides.
+    """T_real_sim between points relative to the sensor, if it is at the same position among the points of both sides.
 
     Parameters
     ----------
-    position : x y z, metres
-    T_real_sim : (3, 4) float64 of the points as they were; None for the identity
+    position : x y z of the sensor among the points as recorded, metres
+    T_real_sim : (3, 4) float64, between the points as recorded; None for the identity
     """
     if T_real_sim is None:
         return None
@@ -143,20 +142,17 @@ def seen_from(
     return np.column_stack([R, t - position + R @ position])
 
 
-def too_few_left(
-    n_left: int,
-    n_fewest: int,
-    dropped: Mapping[str, int],
-    settings: InputSettings,
-) -> str:
+def too_few_left(clean: CleanResult, n_fewest: int, settings: InputSettings) -> str:
     """Message for a scan with too few points after cleaning: counts by reason, and how to keep more.
 
     Examples
     --------
-    >>> too_few_left(5, 8, {"too_near": 9, "too_far": 2}, InputSettings())
-    'expected at least 8 points after cleaning, got 5 (9 too near, 2 too far); lower input.min_range_m (now 2.5)'
+    >>> settings = InputSettings()
+    >>> clean = clean_scan(np.array([[9.0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 0, 999]]), settings)
+    >>> too_few_left(clean, 8, settings)
+    'expected at least 8 points after cleaning, got 1 (2 too near, 1 too far); lower input.min_range_m (now 2.5)'
     """
-    counts = {reason: n for reason, n in dropped.items() if n}
+    counts = {reason: n for reason, n in clean.dropped.items() if n}
     reasons = [f"{n} {reason.replace('_', ' ')}" for reason, n in counts.items()]
     why = ", ".join(reasons) or "no more in the file"
     remedies = {
@@ -170,16 +166,11 @@ def too_few_left(
         remedies["too_far"] += f", or raise input.max_range_m (now {settings.max_range_m:g})"
     worst = max(counts, key=counts.__getitem__, default="")
     remedy = remedies.get(worst, "check that the export is complete")
-    return f"expected at least {n_fewest} points after cleaning, got {n_left} ({why}); {remedy}"
+    return f"expected at least {n_fewest} points after cleaning, got {len(clean.points)} ({why}); {remedy}"
 
 
 def inside(points: FloatArray, box: Box | None, *, default: bool = True) -> BoolArray:
-    """True for points in the box, bounds included, (n,) bool; the default for all points without a box."""
+    """True for points in the box, bounds included, (n,) bool; without a box, the default for all points."""
     if box is None:
         return np.full(len(points), default)
-    return _all((points >= np.array(box[:3])) & (points <= np.array(box[3:])))
-
-
-def _all(flags: BoolArray) -> BoolArray:
-    """True for rows that are all true, (n,) bool."""
-    return np.logical_and.reduce(flags, axis=1)
+    return np.all((points >= box[:3]) & (points <= box[3:]), axis=1)

@@ -100,6 +100,7 @@ def main() -> None:
     _ignore_interrupts()
     if code == EXIT_INTERRUPTED:  # typer turns Ctrl-C into this code
         _complain("interrupted; run the same command again to resume")
+    gc.freeze()  # Python would search all modules for garbage
     sys.exit(_flushed(code))
 
 

@@ -90,10 +90,10 @@ def _sensor_lines(dataset: DatasetCheck) -> list[Note]:
 
 def _causes(dataset: DatasetCheck) -> View:
     """The causes that a few pairs show."""
-    n_pairs = sum(bool(check.amounts) for check in dataset.pairs)
+    n_pairs = sum(bool(check.causes) for check in dataset.pairs)
     if not n_pairs:
         return []
     heading = Note(f"Seen in {count(n_pairs, 'pair')}", "bold")
     items = cause_items(dataset.causes[:MOST_SHOWN]) or items_of(no_cause_words(dataset.unknown))
     trust = items_of(*unknown_words(dataset.unknown))
-    return [heading, Answers([("Fix first", items), ("Trust", trust)])]
+    return [heading, Answers({"Fix first": items, "Trust": trust})]

@@ -111,12 +111,11 @@ class Measures:
     def dataset_is_gone(self) -> bool:
         """True if the dataset's folder is not on this machine; a broken one is not gone."""
         try:
-            local_folder(self.run.record.dataset).stat()
-        except (FileNotFoundError, NotADirectoryError, ValueError, DatasetError):
+            return not local_folder(self.run.record.dataset).exists()
+        except DatasetError:
             return True
         except OSError:
-            pass  # it is there and cannot be read, which `_dataset` says
-        return False
+            return False  # it is there and cannot be read, which `_dataset` says
 
     def _of_pairs(self, score: str, stat: str = "mean") -> float:
         column = _COLUMNS[score]

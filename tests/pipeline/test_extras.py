@@ -280,6 +280,8 @@ def test_a_comparison_judges_the_tasks_of_runs_with_the_same_settings(dataset, f
     assert tasks.verdict == "same"
     assert "obstacles lost" in {score.name for score in tasks.scores}
     run(dataset, tmp_path / "run", load(None, ["tasks.names=ground"]))
+    with pytest.raises(fidpipe.FidpipeError, match=r"settings differ \(tasks.names is "):
+        compare_runs([finished, tmp_path / "run"])
+    run(dataset, tmp_path / "run", load(None), replace=True)
     (other,) = compare_runs([finished, tmp_path / "run"])
     assert "tasks" not in {family.name for family in other.families}
-    assert any("other settings of tasks" in note for note in other.notes)
