@@ -161,8 +161,10 @@ def visiting_order(points: FloatArray, seed: int) -> IntArray:
     for column in bits.T:
         hashed = murmurhash3_32(column ^ hashed, seed=seed)
     order: IntArray = np.argsort(hashed).astype(np.int32)
-    if np.any(hashed[order[1:]] == hashed[order[:-1]]):
-        order = np.lexsort((*points.T, hashed)).astype(np.int32)
+    hashed_in_order = hashed[order]
+    is_tied = np.isin(hashed_in_order, hashed_in_order[1:][np.diff(hashed_in_order) == 0])
+    tied = order[is_tied]
+    order[is_tied] = tied[np.lexsort((*points[tied].T, hashed[tied]))]
     return order
 
 
