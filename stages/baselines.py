@@ -244,7 +244,10 @@ def histogram(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> B
 
 
 def _emd(
-    real: FloatArray, sim: FloatArray, selection: Selection, settings: MetricsSettings
+    real: FloatArray,
+    sim: FloatArray,
+    selection: Selection,
+    settings: MetricsSettings,
 ) -> Baselines:
     """Earth mover's distance of all points, of the aligned nodes as given, and of these with both sides centred."""
     n_most = max(len(real), len(sim))

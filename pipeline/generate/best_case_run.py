@@ -159,7 +159,11 @@ def _write_dataset(
 
 
 def _write_measurement(
-    path: Path, pair_id: str, scan: Scan, recipe: BestCaseRecipe, settings: InputSettings
+    path: Path,
+    pair_id: str,
+    scan: Scan,
+    recipe: BestCaseRecipe,
+    settings: InputSettings,
 ) -> bool:
     """Write the measurement of a pair; returns False if noise or losses are to be those of the scan but unknown.
 
@@ -183,7 +187,11 @@ def _write_measurement(
 
 
 def _remeasured(
-    scan: Scan, gaps: SurfaceGaps, noise_m: float, lost_share: float, rng: np.random.Generator
+    scan: Scan,
+    gaps: SurfaceGaps,
+    noise_m: float,
+    lost_share: float,
+    rng: np.random.Generator,
 ) -> pa.Table:
     """One measurement: x, y, z, labels and instances if the scan has them."""
     clean = clean_scan(scan.points, _ALL)

@@ -97,7 +97,12 @@ def generate_dataset(
 
 
 def _prepare(
-    out: Path, recipe_name: str, recipe: Recipe, label_names: Mapping[int, str], *, replace: bool
+    out: Path,
+    recipe_name: str,
+    recipe: Recipe,
+    label_names: Mapping[int, str],
+    *,
+    replace: bool,
 ) -> None:
     """Create the folder, and remove files of an earlier dataset that this one lacks."""
     import tomli_w

@@ -183,7 +183,11 @@ def _trials(
 
 
 def _altered_scan(
-    tables: PairTables, points: FloatArray, level: Perturbation, seed: int, settings: Settings
+    tables: PairTables,
+    points: FloatArray,
+    level: Perturbation,
+    seed: int,
+    settings: Settings,
 ) -> Row:
     """Scores of the scan with all object points altered, everything from the graph on recomputed."""
     altered = perturb(points, level, np.random.default_rng(seed))
@@ -205,7 +209,10 @@ def _altered_scan(
 
 
 def _altered_object(
-    before: Subgraph, level: Perturbation, seed: int, settings: Settings
+    before: Subgraph,
+    level: Perturbation,
+    seed: int,
+    settings: Settings,
 ) -> tuple[Row, list[Row]]:
     """Scores of one object with altered points, and a row for each baseline metric.
 
