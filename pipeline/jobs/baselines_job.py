@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from contextlib import AbstractContextManager
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...schemas.columns import Row
+from ...schemas.columns import SIDES, Row
 from ...schemas.metric_catalogue import METRIC, scores_of
 from ...schemas.record import OF_OBJECTS, OF_SCAN
 from ...schemas.settings import Settings
@@ -42,16 +41,12 @@ def make_baselines(inputs: Inputs) -> JobResult:
         )
         rows += [_row(value, match) for value in values]
 
-    def watch(name: str) -> AbstractContextManager[None]:
-        return inputs.step(f"{name}, whole scan")
-
-    _, real_points = object_points(inputs, "real")
-    _, sim_points = object_points(inputs, "sim")
-    values = compare_points(real_points, sim_points, settings.metrics, watch=watch)
+    real_points, sim_points = [object_points(inputs, side)[1] for side in SIDES]
+    values = compare_points(real_points, sim_points, settings.metrics, watch=inputs.step)
     if OF_SCANS in settings.metrics.baselines:
-        with watch(OF_SCANS):
-            real_scan = coordinates(inputs.table("ground", "real"))
-            values += nvs(real_scan, coordinates(inputs.table("ground", "sim")))
+        with inputs.step(OF_SCANS):
+            scans = [coordinates(inputs.table("ground", side)) for side in SIDES]
+            values += nvs(*scans)
     rows += [_row(value, {}) for value in values]
     return JobResult(inputs.rows("baselines", rows), {"means": _means(rows)})
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...schemas.columns import Row
+from ...schemas.columns import SIDES, Row
 from ...schemas.settings import Settings
 from ...stages.objects import majority_labels
 from ...stages.pieces import CutScan
@@ -37,8 +37,7 @@ _TASKS = {
 def make_tasks(inputs: Inputs) -> JobResult:
     """Compare both scans in each requested task; the metadata hold the gaps over everything."""
     settings = inputs.settings.tasks
-    real = cut_scan(inputs.table("ground", "real"))
-    sim = cut_scan(inputs.table("ground", "sim"))
+    real, sim = [cut_scan(inputs.table("ground", side)) for side in SIDES]
     gaps: list[Gap] = []
     obstacles: list[Row] = []
     for name in settings.names:

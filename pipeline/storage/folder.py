@@ -109,7 +109,11 @@ class RunFolder(TableFolder):
         return jobs
 
     def read_table(
-        self, table: str, pair_id: str = "", side: str = "", columns: list[str] | None = None
+        self,
+        table: str,
+        pair_id: str = "",
+        side: str = "",
+        columns: list[str] | None = None,
     ) -> pa.Table:
         """A table of one pair (of one side where each side has its own), or of the whole run if `pair_id` is "".
 
@@ -153,7 +157,11 @@ class RunFolder(TableFolder):
         return frames
 
     def _read(
-        self, table: str, files: Mapping[str, StoredFile], name: str, columns: list[str] | None
+        self,
+        table: str,
+        files: Mapping[str, StoredFile],
+        name: str,
+        columns: list[str] | None,
     ) -> pa.Table:
         if name not in files:
             raise self.damaged(name)
@@ -182,12 +190,12 @@ class RunFolder(TableFolder):
 
     def forget(self, pair_id: str, jobs: Container[JobId] | None = None) -> list[JobRecord]:
         """Remove some jobs of a pair, by default all, and their files; returns them."""
-        records = []
-        for record in self.ledger.jobs(pair_id).values():
-            if jobs is None or record.job in jobs:
-                records.append(record)
-                for name in record.files:
-                    (self.folder / name).unlink(missing_ok=True)
+        records = list(self.ledger.jobs(pair_id).values())
+        if jobs is not None:
+            records = [record for record in records if record.job in jobs]
+        for record in records:
+            for name in record.files:
+                (self.folder / name).unlink(missing_ok=True)
         self.ledger.drop_jobs(pair_id, records)
         return records
 

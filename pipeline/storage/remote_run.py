@@ -101,7 +101,11 @@ class RemoteRun:
         self._index = self.folder.with_name(f".{self.folder.name}.objects.json")
         self._in_use = self.folder.with_name(f".{self.folder.name}.lock")
         self._lock = f"{self.url}/{LOCK}"
-        self._owner = _Owner(host=socket.gethostname(), pid=os.getpid(), token=secrets.token_hex(8))
+        self._owner = _Owner(
+            host=socket.gethostname(),
+            pid=os.getpid(),
+            token=secrets.token_hex(8),
+        )
         self._etag = ""
         self._renewed = 0.0
 
@@ -141,7 +145,7 @@ class RemoteRun:
         known |= self._get_all(missing)
         for name in (self._files().keys() & known.keys()) - names:
             (self.folder / name).unlink(missing_ok=True)  # others are newer than the last push
-        self._keep({name: marks for name, marks in known.items() if name in names})
+        save_json(self._index, {name: marks for name, marks in known.items() if name in names})
 
     def push(self) -> None:
         """Write what has changed in the folder.
@@ -171,7 +175,7 @@ class RemoteRun:
                             known[name] = marks
                         self._renew()
             finally:
-                self._keep(known)
+                save_json(self._index, known)
 
     def _get_all(self, objects: Sequence[StoredObject]) -> Known:
         """Fetch objects; returns what is known of them, by name."""
@@ -339,9 +343,6 @@ class RemoteRun:
     def _known(self) -> Known:
         """Etag and marks of each file, by name, as they were when the two places were equal."""
         return load_json(self._index) or {}  # new, or cut short: all is fetched again
-
-    def _keep(self, known: Known) -> None:
-        save_json(self._index, known)
 
 
 def _group(name: str) -> int:

@@ -76,19 +76,19 @@ def page_words(
     overview = run.overview
     assert overview is not None  # a pair is scored
     sections = answer_sections(run, excess, with_all=True)
-    sections.pop("Worst places", None)
+    del sections["Worst places"]
     sections["Next"] = items_of(*next_commands(run, excess, is_page=True))
-    trust = sections.pop("Trust", [])
+    trust = {"Trust": sections.pop("Trust")}
     pairs = plain_rows(results.pairs)
     return {
         "title": run.folder.resolve().name,
         "line": run_line(run),
-        "answer": [*frame_warnings(run), Answers([*sections.items()])],
+        "answer": [*frame_warnings(run), Answers(sections)],
         "bars": _bars(results, excess),
         "rays": _ray_bars(results),
         "worst": [(_address(run, piece), piece) for piece in overview.pieces],
         "failures": failures_view(run),
-        "trust": [Answers([("Trust", trust)])],
+        "trust": [Answers(trust)],
         "details": details_view(run.record),
         "limits": QUADRANT_LIMITS,
         "best_case": excess_view(excess) if excess else [],

@@ -54,7 +54,7 @@ def answer_view(
     took : time and reused jobs of a run that just ended
     """
     sections = answer_sections(run, excess, with_all=with_all)
-    return [Note(run_line(run, took), "bold"), Answers(list(sections.items()))]
+    return [Note(run_line(run, took), "bold"), Answers(sections)]
 
 
 def answer_sections(
@@ -78,7 +78,7 @@ def answer_sections(
     trust = trust_words(overview, most)
     if not with_all:
         trust.append(f"more: {shlex.join(['fidpipe', 'show', url_or_path(run.folder), '--all'])}")
-    sections = {
+    return {
         "  surface": items_of(surface_words(record, excess)),
         "  pieces": items_of(pieces_words(record)),
         "  tasks": items_of(task_words(record, excess)),
@@ -90,7 +90,6 @@ def answer_sections(
         "Trust": items_of(*trust),
         "Next": items_of(*next_commands(run, excess)),
     }
-    return {heading: items for heading, items in sections.items() if items}
 
 
 def frame_warnings(run: FinishedRun) -> list[Note]:
