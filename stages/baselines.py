@@ -244,7 +244,10 @@ def histogram(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> B
 
 
 def _emd(
-    real: FloatArray, sim: FloatArray, selection: Selection, settings: MetricsSettings
+    real: FloatArray,
+    sim: FloatArray,
+    selection: Selection,
+    settings: MetricsSettings,
 ) -> Baselines:
     """Earth mover's distance of all points, of the aligned nodes as given, and of these with both sides centred."""
     n_most = max(len(real), len(sim))
@@ -361,7 +364,8 @@ def _range_image(points: FloatArray) -> FloatArray:
     range_m = np.linalg.norm(points, axis=1)
     x, y, z = points.T
     elevation = np.arctan2(z, level_m(points)) + (_IMAGE_DEG - _IMAGE_UP_DEG) / 180 * np.pi
-    column = np.rint((np.pi - np.arctan2(y, x)) / (2 * np.pi / _IMAGE_COLUMNS)).astype(int)
+    azimuth = np.arctan2(y, x)
+    column = np.rint((np.pi - azimuth) / (2 * np.pi / _IMAGE_COLUMNS)).astype(int)
     row_height = _IMAGE_DEG / 180 * np.pi / _IMAGE_ROWS
     row = np.rint(_IMAGE_ROWS - elevation / row_height).astype(int)
     is_inside = (range_m < _IMAGE_RANGE_M) & (row >= 0) & (row < _IMAGE_ROWS)

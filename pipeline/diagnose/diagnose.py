@@ -54,8 +54,9 @@ def diagnose_run(folder: Path, reporter: Reporter, machines: Machines | None = N
             remove_stale(stale, run.store, reporter, ["the causes changed"])
             schedule.run()
     if collector.failures:
-        reasons = [f"pair {name}: {reason}" for name, reason in collector.failures.items()]
-        raise RunError(f"run {folder}: {'; '.join(reasons)}")
+        raise RunError(
+            f"run {folder}: pairs that cannot be diagnosed: {', '.join(collector.failures)}"
+        )
     diagnosis = diagnosis_of(run.store, run.record, run.names)
     if diagnosis is None:
         raise RunError(f"run {folder}: the run changed while it was diagnosed; diagnose it again")

@@ -249,7 +249,10 @@ def _compare_boxes(
 
 
 def _boxed_objects(
-    run: FinishedRun, pair_id: str, real: Boxes, is_found: BoolArray
+    run: FinishedRun,
+    pair_id: str,
+    real: Boxes,
+    is_found: BoolArray,
 ) -> pd.DataFrame:
     """The object with the most points inside of each real box that has any."""
     import pandas as pd

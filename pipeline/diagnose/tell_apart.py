@@ -217,7 +217,11 @@ def _both_sides(
 
 
 def compare_samples(
-    a: pd.DataFrame, b: pd.DataFrame, features: Sequence[str], *, is_paired: bool = True
+    a: pd.DataFrame,
+    b: pd.DataFrame,
+    features: Sequence[str],
+    *,
+    is_paired: bool = True,
 ) -> Separation:
     """Test two samples by those of the features that both have."""
     points, splits = _both_sides(a, b, is_paired=is_paired)

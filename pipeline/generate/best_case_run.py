@@ -21,7 +21,7 @@ from ...schemas.settings import InputSettings, Settings
 from ...stages.clean import as_ros, clean_scan
 from ...stages.generate.second_measurement import fill_gaps, remeasure
 from ...stages.sensor_description import NO_GAPS, SurfaceGaps, describe_with_gaps
-from ..datasets.pairs import LABEL_NAMES, MANIFEST, Dataset, read_dataset
+from ..datasets.pairs import MANIFEST, Dataset, read_dataset
 from ..datasets.readers import read_scan
 from ..datasets.readers.scan import Scan
 from ..engine.engine import Machines
@@ -41,6 +41,7 @@ from ..storage.ledger import LEDGER
 from ..storage.run_record import has_ended, read_run
 from ..storage.table_files import file_stem
 from ..storage.urls import name_in_records
+from .dataset_folder import write_label_names
 
 RECIPE_VERSION = 3  # increase it when the same recipe results in other measurements
 DEFAULT_NOISE_M = 0.03  # if it cannot be measured on a scan
@@ -129,9 +130,7 @@ def _write_dataset(
     refuse_link(folder / "sim")
     (folder / MANIFEST).unlink(missing_ok=True)
     write_whole(folder / BEST_CASE_RECIPE, recipe.to_toml().encode())
-    (folder / LABEL_NAMES).unlink(missing_ok=True)
-    if (source.folder / LABEL_NAMES).exists():
-        write_whole(folder / LABEL_NAMES, (source.folder / LABEL_NAMES).read_bytes())
+    write_label_names(folder, source.label_names)
     paths = {pair: folder / "sim" / f"{file_stem(pair.pair_id)}.parquet" for pair in source.pairs}
     wanted = [pair for pair in paths if pair.pair_id in selected or paths[pair].exists()]
     rows = []
@@ -160,7 +159,11 @@ def _write_dataset(
 
 
 def _write_measurement(
-    path: Path, pair_id: str, scan: Scan, recipe: BestCaseRecipe, settings: InputSettings
+    path: Path,
+    pair_id: str,
+    scan: Scan,
+    recipe: BestCaseRecipe,
+    settings: InputSettings,
 ) -> bool:
     """Write the measurement of a pair; returns False if noise or losses are to be those of the scan but unknown.
 
@@ -184,7 +187,11 @@ def _write_measurement(
 
 
 def _remeasured(
-    scan: Scan, gaps: SurfaceGaps, noise_m: float, lost_share: float, rng: np.random.Generator
+    scan: Scan,
+    gaps: SurfaceGaps,
+    noise_m: float,
+    lost_share: float,
+    rng: np.random.Generator,
 ) -> pa.Table:
     """One measurement: x, y, z, labels and instances if the scan has them."""
     clean = clean_scan(scan.points, _ALL)

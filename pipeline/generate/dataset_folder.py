@@ -97,7 +97,12 @@ def generate_dataset(
 
 
 def _prepare(
-    out: Path, recipe_name: str, recipe: Recipe, label_names: Mapping[int, str], *, replace: bool
+    out: Path,
+    recipe_name: str,
+    recipe: Recipe,
+    label_names: Mapping[int, str],
+    *,
+    replace: bool,
 ) -> None:
     """Create the folder, and remove files of an earlier dataset that this one lacks."""
     import tomli_w
@@ -120,12 +125,20 @@ def _prepare(
     if lost and not replace and (out / MANIFEST).exists():
         why = [f"other {name}" for name in changed]
         refuse_overwrite(f"dataset {out}", f"{len(lost)} of its files", why)
-    for path in [out / MANIFEST, out / LABEL_NAMES, *lost]:
+    for path in [out / MANIFEST, *lost]:
         path.unlink(missing_ok=True)
     write_whole(out / recipe_name, text.encode())
-    if label_names:
-        names = tomli_w.dumps({str(number): name for number, name in label_names.items()})
-        write_whole(out / LABEL_NAMES, names.encode())
+    write_label_names(out, label_names)
+
+
+def write_label_names(folder: Path, names: Mapping[int, str]) -> None:
+    """Write `labels.toml`; remove it if there are no names."""
+    import tomli_w
+
+    (folder / LABEL_NAMES).unlink(missing_ok=True)
+    if names:
+        text = tomli_w.dumps({str(number): name for number, name in names.items()})
+        write_whole(folder / LABEL_NAMES, text.encode())
 
 
 def _earlier_recipe(path: Path) -> Recipe:

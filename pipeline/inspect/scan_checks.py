@@ -218,7 +218,10 @@ def check_pair(task: tuple[ScanPair, Settings, dict[int, str], bool, bool]) -> P
 
 
 def _check_scan(
-    pair: ScanPair, side: str, settings: Settings, label_names: dict[int, str]
+    pair: ScanPair,
+    side: str,
+    settings: Settings,
+    label_names: dict[int, str],
 ) -> tuple[ScanCheck, Scan]:
     """Check one scan; returns it too, without points if it cannot be read."""
     ref = pair.scans[side]

@@ -41,10 +41,8 @@ _STRETCH = 5
 
 
 def stretches_of(pairs: Sequence[ScanPair]) -> list[list[ScanPair]]:
-    """Two times a few neighbouring pairs, in order of time where it is known, else of their names."""
-    ordered = list(pairs)
-    if all(pair.timestamp_s is not None for pair in ordered):
-        ordered.sort(key=lambda pair: (pair.timestamp_s or 0.0, pair.pair_id))
+    """Two times a few neighbouring pairs, in order of time; those without one come first, by their names."""
+    ordered = sorted(pairs, key=lambda pair: (pair.timestamp_s or 0.0, pair.pair_id))
     if len(ordered) <= 2 * _STRETCH:
         return [ordered]
     first = len(ordered) // 4

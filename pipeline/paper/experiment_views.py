@@ -123,7 +123,11 @@ def _spread(mean: float, std: float) -> str:
 
 
 def _draw(
-    outcome: ExperimentOutcome, name: str, title: str, means: pd.DataFrame, metrics: Sequence[str]
+    outcome: ExperimentOutcome,
+    name: str,
+    title: str,
+    means: pd.DataFrame,
+    metrics: Sequence[str],
 ) -> None:
     """Write `NAME.png` with a row of panels for each metric; nothing without means.
 

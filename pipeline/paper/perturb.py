@@ -183,7 +183,11 @@ def _trials(
 
 
 def _altered_scan(
-    tables: PairTables, points: FloatArray, level: Perturbation, seed: int, settings: Settings
+    tables: PairTables,
+    points: FloatArray,
+    level: Perturbation,
+    seed: int,
+    settings: Settings,
 ) -> Row:
     """Scores of the scan with all object points altered, everything from the graph on recomputed."""
     altered = perturb(points, level, np.random.default_rng(seed))
@@ -205,7 +209,10 @@ def _altered_scan(
 
 
 def _altered_object(
-    before: Subgraph, level: Perturbation, seed: int, settings: Settings
+    before: Subgraph,
+    level: Perturbation,
+    seed: int,
+    settings: Settings,
 ) -> tuple[Row, list[Row]]:
     """Scores of one object with altered points, and a row for each baseline metric.
 
@@ -335,18 +342,14 @@ def _typical_of_shapes(objects: pd.DataFrame, least: int) -> dict[int, str]:
     """
     large = objects[objects["n_points"] >= least]
     free = objects if large.empty else large
-    shapes = large[[*SHAPES]].to_numpy().argmax(axis=1)
-    chosen: dict[str, int] = {}
-    for i, name in enumerate(SHAPES.values()):
-        typical = large[shapes == i]
-        if len(typical):
-            chosen[name] = _median_sized(typical)
-    for feature, name in SHAPES.items():
+    of_shapes = large.groupby(large[[*SHAPES]].idxmax(axis=1))
+    chosen: dict[Any, int] = {name: _median_sized(typical) for name, typical in of_shapes}
+    for feature in SHAPES:
         others = free[feature].drop([*chosen.values()])
-        if name not in chosen and len(others):
+        if feature not in chosen and len(others):
             largest: Any = others.idxmax()
-            chosen[name] = int(largest)
-    return {chosen[name]: name for name in SHAPES.values() if name in chosen}
+            chosen[feature] = int(largest)
+    return {chosen[feature]: SHAPES[feature] for feature in SHAPES if feature in chosen}
 
 
 def _median_sized(objects: pd.DataFrame) -> int:

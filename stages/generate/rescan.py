@@ -71,7 +71,10 @@ def extend_map(voxels: FloatArray, points: FloatArray, intensity: FloatArray) ->
 
 
 def rescan(
-    voxels: FloatArray, directions: FloatArray, sensor: SensorModel, rng: np.random.Generator
+    voxels: FloatArray,
+    directions: FloatArray,
+    sensor: SensorModel,
+    rng: np.random.Generator,
 ) -> tuple[FloatArray, FloatArray]:
     """Scan a map by a sensor at the origin.
 

@@ -254,7 +254,8 @@ def _directions(n: int) -> FloatArray:
         normal = rng.normal(size=(DRAWS, n))
         drawn = normal * np.sqrt(n / (normal**2).sum(axis=1, keepdims=True))
     elif n <= MOST_ENUMERATED:  # an opposite has the same T: the first sign stays
-        drawn = 1.0 - 2.0 * ((np.arange(1, 2 ** (n - 1))[:, None] >> np.arange(n)) & 1)
+        bits = np.arange(1, 2 ** (n - 1))[:, None] >> np.arange(n)
+        drawn = 1.0 - 2.0 * (bits & 1)
     else:
         drawn = rng.choice([-1.0, 1.0], size=(DRAWS, n))
     return np.vstack([np.ones(n), drawn])
