@@ -105,7 +105,6 @@ def test_seconds_are_in_the_timings_one_step_a_baseline(finished):
     timings = pd.read_parquet(finished / "timings.parquet").query("stage == 'baselines'")
     steps = set(timings.step)
     assert set(ALL.metrics.baselines) <= steps
-    assert "emd, whole scan" not in steps
 
 
 def test_what_a_run_made_is_new_in_its_timings_and_all_else_reused(again, dataset):
