@@ -58,13 +58,12 @@ class Table:
     def _fields(self) -> list[pa.Field]:
         return list(self.schema)
 
-    def build(self, columns: Mapping[str, Any], n_rows: int | None = None) -> pa.Table:
-        """Build a checked table from arrays; a single string, number or None fills its column for `n_rows` rows.
+    def build(self, columns: Mapping[str, Any]) -> pa.Table:
+        """Build a checked table from arrays; a single string, number or None fills its column.
 
         Absent columns are null, and so is NaN where the schema allows it.
         """
-        if n_rows is None:
-            n_rows = next(len(value) for value in columns.values() if _is_column(value))
+        n_rows = next(len(value) for value in columns.values() if _is_column(value))
         arrays = []
         for field in self._fields:
             value = columns.get(field.name)

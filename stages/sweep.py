@@ -1,4 +1,4 @@
-"""The returns of a scan in the order in which its beams were fired."""
+"""The returns of a scan by beam and azimuth, in which order a beam fires."""
 
 from __future__ import annotations
 
@@ -43,7 +43,12 @@ class Sweep:
         return np.abs(np.diff(self.range_m))
 
     def first_returns(self, is_later: BoolArray) -> Sweep:
-        """The nearest of each group of returns that follow each other in one direction."""
+        """The nearest return of each ray.
+
+        Parameters
+        ----------
+        is_later : (m,) bool, True for returns of the same ray as the one before; see `trust.later_returns`
+        """
         ray = np.cumsum(~is_later)
         order = np.lexsort((self.range_m, ray))
         _, first = np.unique(ray[order], return_index=True)

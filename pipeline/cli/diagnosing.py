@@ -26,7 +26,7 @@ def diagnose(
     sources: Annotated[list[Path], typer.Argument(metavar="RUN | REAL SIM")],
     workers: Workers = None,
     scheduler: Scheduler = None,
-    since: Path | None = None,
+    since: Annotated[Path | None, typer.Option(metavar="RUN")] = None,
     tell_apart: bool = False,
     assignments: Assignments = None,
     as_json: AsJson = False,

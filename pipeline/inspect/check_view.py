@@ -96,4 +96,4 @@ def _causes(dataset: DatasetCheck) -> View:
     heading = Note(f"Seen in {count(n_pairs, 'pair')}", "bold")
     items = cause_items(dataset.causes[:MOST_SHOWN]) or items_of(no_cause_words(dataset.unknown))
     trust = items_of(*unknown_words(dataset.unknown))
-    return [heading, Answers([("Fix first", items), ("Trust", trust)])]
+    return [heading, Answers({"Fix first": items, "Trust": trust})]

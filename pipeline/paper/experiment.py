@@ -17,7 +17,6 @@ import pandas as pd
 import pyarrow as pa
 
 from ...schemas.columns import Row
-from ...schemas.errors import ScanError
 from ...schemas.record import RunHeader
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
@@ -145,8 +144,6 @@ def run_experiment(
     RunError
         The folder holds something else, is in use, or holds a finished experiment of another
         request.
-    ScanError
-        The only scan cannot be evaluated.
     """
     check_folder(out, source.folder, stage.name)
     folder = RunFolder(out)
@@ -156,16 +153,13 @@ def run_experiment(
         run.survey_results(replace=replace_finished)
         with run.schedule(Machines(n_workers)) as schedule:
             schedule.run()
-        failures = run.collector.failures
-        if failures and scan_ref(source.folder).exists:
-            raise ScanError("; ".join(failures.values()))
         records = list(records_of(folder, (stage,), [pair.pair_id for pair in source.pairs]))
         tables = _write_tables(stage, folder, records, scores)
         run.write_results()
     return ExperimentOutcome(
         folder=out,
         settings=settings,
-        failures=failures,
+        failures=run.collector.failures,
         n_made=run.collector.n_made,
         n_reused=len(records) - run.collector.n_made,
         pairs=[record.pair_id for record in records],

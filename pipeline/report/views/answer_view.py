@@ -54,7 +54,7 @@ def answer_view(
     took : time and reused jobs of a run that just ended
     """
     sections = answer_sections(run, excess, with_all=with_all)
-    return [Note(run_line(run, took), "bold"), Answers(list(sections.items()))]
+    return [Note(run_line(run, took), "bold"), Answers(sections)]
 
 
 def answer_sections(
@@ -78,7 +78,7 @@ def answer_sections(
     trust = trust_words(overview, most)
     if not with_all:
         trust.append(f"more: {shlex.join(['fidpipe', 'show', url_or_path(run.folder), '--all'])}")
-    sections = {
+    return {
         "  surface": items_of(surface_words(record, excess)),
         "  pieces": items_of(pieces_words(record)),
         "  tasks": items_of(task_words(record, excess)),
@@ -90,7 +90,6 @@ def answer_sections(
         "Trust": items_of(*trust),
         "Next": items_of(*next_commands(run, excess)),
     }
-    return {heading: items for heading, items in sections.items() if items}
 
 
 def frame_warnings(run: FinishedRun) -> list[Note]:
@@ -133,8 +132,10 @@ def unknown_words(unknown: Sequence[Unknown]) -> list[str]:
     return [f"unknown: {'; '.join(groups)}"] if groups else []
 
 
-def next_commands(run: FinishedRun, excess: RunExcess | None) -> list[str]:
-    """The commands that lead on from a run."""
+def next_commands(
+    run: FinishedRun, excess: RunExcess | None, *, is_page: bool = False
+) -> list[str]:
+    """The commands that lead on from a run, or from its page."""
     record = run.record
     name = url_or_path(run.folder)
     if read_recipe(run.folder):
@@ -144,7 +145,7 @@ def next_commands(run: FinishedRun, excess: RunExcess | None) -> list[str]:
         commands = [["check", record.dataset, *options]]
     else:
         commands = [] if run.diagnosis else [["diagnose", name]]
-        commands.append(["report", name, "--open"])
+        commands.append(["compare", name, "NEW_RUN"] if is_page else ["report", name, "--open"])
         if excess is None:
             commands.append(["best-case", name])
     return [shlex.join(["fidpipe", *words]) for words in commands]

@@ -119,25 +119,24 @@ def reasons(comparison: Comparison) -> dict[str, list[Item]]:
 
 def answer(comparison: Comparison, n_places: int = _MOST_PLACES) -> Answers:
     """The causes and families behind a decision, where to look (at so many), and how pairs were counted."""
-    sections = _by_verdict(comparison)
     worst = worst_changes(comparison.objects, n_places)
     names = shortened({row["pair_id"] for row in worst}, _PAIR_WIDTH)
     where = [f"{names[row['pair_id']]}  {place_words(row)}" for row in worst]
     kinds = ", ".join(f"{n} {kind}" for kind, n in comparison.kinds.items() if n)
     again = (comparison.other, "--since", comparison.base)
-    sections += [
-        ("Where", items_of(*where)),
-        ("Objects", items_of(kinds)),
-        ("Compared", items_of(f"{comparison.other} against {comparison.base}", chance(comparison))),
-        ("Next", items_of(shlex.join(["fidpipe", "diagnose", *map(str, again)]))),
-    ]
-    return Answers([(heading, items) for heading, items in sections if items])
+    sections = {
+        "Where": items_of(*where),
+        "Objects": items_of(kinds),
+        "Compared": items_of(f"{comparison.other} against {comparison.base}", chance(comparison)),
+        "Next": items_of(shlex.join(["fidpipe", "diagnose", *map(str, again)])),
+    }
+    return Answers(_by_verdict(comparison) | sections)
 
 
-def _by_verdict(comparison: Comparison) -> list[tuple[str, Sequence[Item]]]:
+def _by_verdict(comparison: Comparison) -> dict[str, list[Item]]:
     """The causes and families behind a decision, by the heading of their verdict."""
     behind = reasons(comparison).items()
-    return [(verdict.capitalize() or "In the world", items) for verdict, items in behind if items]
+    return {verdict.capitalize() or "In the world": items for verdict, items in behind}
 
 
 def place_words(row: Row) -> str:
@@ -217,7 +216,7 @@ def changed_since(comparison: Comparison) -> View:
     """The causes that changed since an earlier build; not those against the real scans."""
     title = Note(f"Changed since {comparison.base}", "bold")
     sections = _by_verdict(replace(comparison, families=()))
-    if not sections:
+    if not any(sections.values()):
         return [title, Note("no cause changed by more than the accuracy of its estimate")]
     return [title, Answers(sections)]
 
