@@ -110,8 +110,8 @@ def shared_files(hashes: Mapping[str, Mapping[str, str]]) -> list[str]:
     """
     places: dict[str, list[str]] = {}
     for pair_id, sides in hashes.items():
-        for side, content in sides.items():
-            if content:
+        for side in SIDES:
+            if content := sides.get(side):
                 places.setdefault(content, []).append(f"{pair_id} ({side})")
     lines = []
     for names in places.values():
@@ -135,7 +135,7 @@ def swapped_sides(pairs: Iterable[ScanPair], folder: Path) -> list[str]:
         files = {side: Path(os.path.realpath(scan.file)) for side, scan in pair.scans.items()}
         if len(files) < len(SIDES) or pair.real == pair.sim:
             continue
-        for side, other in (("real", "sim"), ("sim", "real")):
+        for side, other in (SIDES, SIDES[::-1]):
             if files[side].is_relative_to(root):
                 names = set(files[side].relative_to(root).parts)
             else:

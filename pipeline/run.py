@@ -161,9 +161,8 @@ def select_pairs(dataset: Dataset, pattern: str | None) -> tuple[ScanPair, ...]:
     selected = tuple(pair for pair in dataset.pairs if fnmatchcase(pair.pair_id, pattern))
     if not selected:
         names = ", ".join(pair.pair_id for pair in dataset.pairs[:5])
-        n_pairs = len(dataset.pairs)
         raise DatasetError(
-            f"--pairs {pattern!r} matches none of the {n_pairs} pairs ({names} ...)",
+            f"--pairs {pattern!r} matches none of the {len(dataset.pairs)} pairs ({names} ...)",
         )
     return selected
 
@@ -328,7 +327,8 @@ class Run:
 
     def write(self) -> RunOutcome:
         """Write the tables of the whole run and its record."""
-        self._summarise_jobs()
+        with self._phases("tables"):
+            self._summarise_jobs()
         failures = self.past_failures | self.collector.failures
         job_keys = sorted(self.keys.items())
         key = key_of(library_versions(["fidpipe"]), job_keys, failures, self._times_s)
@@ -351,9 +351,14 @@ class Run:
         record = self._record(header, pairs, last_results(self.before) if is_same else None)
         self._write_record(record)
         n_made = self.collector.n_made
-        n_reused = self.n_jobs - n_made
-        reported = self.collector.failures
-        return RunOutcome(self.folder.folder, pairs, record, n_made, n_reused, reported)
+        return RunOutcome(
+            folder=self.folder.folder,
+            pairs=pairs,
+            record=record,
+            n_made=n_made,
+            n_reused=self.n_jobs - n_made,
+            reported=self.collector.failures,
+        )
 
     def _record(self, header: RunHeader, pairs: pa.Table, last: RunRecord | None) -> RunRecord:
         """The record of a run that has ended.

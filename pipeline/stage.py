@@ -66,7 +66,7 @@ class Stage:
     takes : names of tables; `SCAN` for the input file. A table comes with the metadata of its job
     gives : names of tables
     settings : the groups of settings that it reads
-    grain : scope of one job
+    grain : scope of one job, by default the pair
     version : of its code, raised by hand whenever its results change
     make : the job
     libraries : libraries that it may call in addition to numpy and scipy; their versions are in its
@@ -84,7 +84,7 @@ class Stage:
     takes: tuple[str, ...]
     gives: tuple[str, ...]
     settings: tuple[str, ...] = ()
-    grain: Grain
+    grain: Grain = Grain.PAIR
     version: int = 1
     make: Callable[[Inputs], JobResult]
     libraries: tuple[str, ...] = ()
@@ -201,9 +201,8 @@ class Inputs:
         """One table, by its name, of parts in their order: columns without pair and side."""
         table = TABLES[name]
         built = [table.build(self._of_file | part) for part in parts]
-        if len(built) == 1:
-            return {name: built[0]}
-        return {name: pa.concat_tables([table.schema.empty_table(), *built]).combine_chunks()}
+        joined = pa.concat_tables(built or [table.schema.empty_table()])
+        return {name: joined.combine_chunks()}
 
     @property
     def _of_file(self) -> Row:

@@ -37,10 +37,10 @@ class Table:
         Raises
         ------
         ValueError
-            A column is missing, surplus, of another type, or has a null that the schema forbids.
+            A column is missing, surplus, of another type, or has or allows a null that the schema
+            forbids.
         """
-        same_names = table.schema.names == self.schema.names
-        if not (same_names and table.schema.types == self.schema.types):
+        if table.schema != self.schema:
             expected, got = _names_and_types(self.schema), _names_and_types(table.schema)
             raise ValueError(f"table {self.name}: expected columns {expected}, got {got}")
         for name in self._without_nulls:
@@ -58,13 +58,12 @@ class Table:
     def _fields(self) -> list[pa.Field]:
         return list(self.schema)
 
-    def build(self, columns: Mapping[str, Any], n_rows: int | None = None) -> pa.Table:
-        """Build a checked table from arrays; a single string, number or None fills its column for `n_rows` rows.
+    def build(self, columns: Mapping[str, Any]) -> pa.Table:
+        """Build a checked table from arrays; a single string, number or None fills its column.
 
         Absent columns are null, and so is NaN where the schema allows it.
         """
-        if n_rows is None:
-            n_rows = next(len(value) for value in columns.values() if _is_column(value))
+        n_rows = next(len(value) for value in columns.values() if _is_column(value))
         arrays = []
         for field in self._fields:
             value = columns.get(field.name)
@@ -77,7 +76,9 @@ class Table:
     def from_rows(self, rows: Iterable[Row]) -> pa.Table:
         """Build a checked table from dictionaries, sorted by the table's keys (nulls last); absent values are null."""
         table = pa.Table.from_pylist(list(rows), schema=self.schema)
-        return self.check(table.sort_by([(key, "ascending") for key in self.keys]))
+        if len(table) > 1:
+            table = table.sort_by([(key, "ascending") for key in self.keys])
+        return self.check(table)
 
 
 def _names_and_types(schema: pa.Schema) -> str:

@@ -60,6 +60,18 @@ def _split_words(value: Any) -> Any:
     return value.replace(",", " ").split() if isinstance(value, str) else value
 
 
+def _numbers(count: int, kind: Any) -> BeforeValidator:
+    """Numbers are read from `1,2,3` or a list, which must have so many; of such a kind in the schema."""
+
+    def split(value: Any) -> Any:
+        words = _split_words(value)
+        if isinstance(words, list | tuple) and len(words) != count:
+            raise ValueError(f"expected {count} numbers, got {value!r}")
+        return words
+
+    return BeforeValidator(split, json_schema_input_type=kind | str)
+
+
 def _choice(known: tuple[str, ...]) -> BeforeValidator:
     """Names of a list, each once and in its order, are read from `all`, `chamfer,emd` or a list of them."""
 
@@ -89,14 +101,9 @@ _Columns = Annotated[
     Annotated[tuple[str, ...], AfterValidator(_check_columns)] | None,
     BeforeValidator(_split_words, json_schema_input_type=tuple[str, ...] | str),
 ]
-_Box = Annotated[
-    Annotated[Box, AfterValidator(_check_box)] | None,
-    BeforeValidator(_split_words, json_schema_input_type=Box | str),
-]
-_Position = Annotated[
-    tuple[float, float, float] | None,
-    BeforeValidator(_split_words, json_schema_input_type=tuple[float, float, float] | str),
-]
+_Box = Annotated[Annotated[Box, AfterValidator(_check_box)] | None, _numbers(6, Box)]
+_Point = tuple[float, float, float]
+_Position = Annotated[_Point | None, _numbers(3, _Point)]
 
 
 class InputSettings(_Group):

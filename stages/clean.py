@@ -79,8 +79,8 @@ def clean_scan(
     drop("duplicate", repeats_earlier_row(points))
     with np.errstate(over="ignore"):  # an infinite range is too far
         range_m = np.sqrt((points**2).sum(axis=1))
-    misses = find_misses(range_m)
-    is_no_return = range_m > (misses[-1].limit_m if misses else np.inf)
+    limit_m, _ = find_misses(range_m)
+    is_no_return = range_m > limit_m
     drop("no_return", is_no_return)
     range_m = range_m[~is_no_return]
     near = range_m < settings.min_range_m
@@ -128,12 +128,12 @@ def seen_from(
     position: tuple[float, float, float],
     T_real_sim: FloatArray | None,
 ) -> FloatArray | None:
-    """T_real_sim of points whose origin has moved to a position of both sides.
+    """T_real_sim between points relative to the sensor, if it is at the same position among the points of both sides.
 
     Parameters
     ----------
-    position : x y z, metres
-    T_real_sim : (3, 4) float64 of the points as they were; None for the identity
+    position : x y z of the sensor among the points as recorded, metres
+    T_real_sim : (3, 4) float64, between the points as recorded; None for the identity
     """
     if T_real_sim is None:
         return None
@@ -157,19 +157,20 @@ def too_few_left(clean: CleanResult, n_fewest: int, settings: InputSettings) -> 
     why = ", ".join(reasons) or "no more in the file"
     remedies = {
         "too_near": f"lower input.min_range_m (now {settings.min_range_m:g})",
-        "too_far": "give the points in metres, in the sensor's frame, or raise input.max_range_m "
-        f"(now {settings.max_range_m:g})",
+        "too_far": "give the points in metres, in the sensor's frame",
         "in_exclude_box": "shrink input.exclude_box",
         "outside_include_box": "widen input.include_box",
         "thinned": f"lower input.voxel_m (now {settings.voxel_m})",
     }
+    if settings.max_range_m < InputSettings().max_range_m:
+        remedies["too_far"] += f", or raise input.max_range_m (now {settings.max_range_m:g})"
     worst = max(counts, key=counts.__getitem__, default="")
     remedy = remedies.get(worst, "check that the export is complete")
     return f"expected at least {n_fewest} points after cleaning, got {len(clean.points)} ({why}); {remedy}"
 
 
 def inside(points: FloatArray, box: Box | None, *, default: bool = True) -> BoolArray:
-    """True for points in the box, bounds included, (n,) bool; the default for all points without a box."""
+    """True for points in the box, bounds included, (n,) bool; without a box, the default for all points."""
     if box is None:
         return np.full(len(points), default)
     return np.all((points >= box[:3]) & (points <= box[3:]), axis=1)

@@ -86,7 +86,7 @@ def _rotations() -> dict[str, FloatArray]:
 
 
 def _axes_words(turn: FloatArray) -> str:
-    """Where each axis of the file points: "x right, y up, z forward"."""
+    """Directions of the axes of the file: "x right, y up, z forward"."""
     words = []
     for axis, direction in zip("xyz", turn.T, strict=True):
         row = int(np.abs(direction).argmax())
@@ -101,10 +101,10 @@ _ROTATIONS = _rotations()
 class FrameCheck:
     """Coverage of the real scan by the simulated one, as given and for the best candidate transform.
 
-    as_it_lies, coverage : 0 to 1, see `check_frames`; coverage of the scan as given, and for the best candidate; if the
-        first is too high for any suspicion, there is no search for others
+    as_it_lies : coverage of the scan as given, 0 to 1, see `check_frames`; others are not tried if it is high
     reading : description of the best candidate, "as given" if no other fits better
-    is_suspect : another candidate fits much better
+    coverage : by the best candidate, 0 to 1
+    is_suspect : the best candidate fits much better than the scan as given
     setting : setting that selects the best candidate; "" if that is the present one
     """
 
@@ -136,7 +136,7 @@ class FrameCheck:
 
 
 def is_only_lifted(reading: str, gain: float) -> bool:
-    """True if a scan fits a little better with its ground at another height, and all else as given."""
+    """True if the only difference of the best candidate is the height of its ground, and it covers little more."""
     return gain < MIN_GAIN and reading.startswith(_LIFTED) and ", in " not in reading  # a unit
 
 
@@ -157,7 +157,7 @@ class _Side:
         self.sample: IndexArray = np.sort(rows[:_MAX_POINTS])
 
     def some(self, n_points: int) -> tuple[FloatArray, BoolArray]:
-        """About n points of the sample, and their ground flags."""
+        """Up to n points of the sample, and their ground flags."""
         step = math.ceil(len(self.sample) / n_points) or 1
         rows = self.sample[::step]
         return self.points[rows], self.is_ground[rows]
@@ -204,7 +204,7 @@ class _Candidate:
         return self.coverage_of(_MAX_POINTS)
 
     def coverage_of(self, n_points: int) -> float:
-        """Coverage by about n points of each scan."""
+        """Coverage of up to n points of each scan."""
         real_points, real_ground = self.real.some(n_points)
         sim_points, sim_ground = self.sim.some(n_points)
         placed = self.placed(sim_points)
@@ -333,10 +333,10 @@ def _candidates(given: _Candidate) -> Iterator[_Candidate]:
 
 
 def _sizes(given: _Candidate, reach_ratio: float, coverage: float) -> list[float]:
-    """Metres per unit of the sizes to be tried.
+    """Factors by which the simulated scan is to be enlarged.
 
-    That in which the simulated scan reaches as far as the real one, and if nothing covers much yet, others around it
-    and around that in which the sensor is at the height of the real one.
+    By the first it reaches as far as the real one. If the best candidate so far covers little, also factors around it,
+    and around the one by which its sensor is as high above the road as the real one.
     """
     sizes = [reach_ratio]
     if 1 - coverage >= MIN_GAIN:
@@ -359,7 +359,13 @@ def _resized(
     sizes: list[float],
     settings: InputSettings,
 ) -> Iterator[_Candidate]:
-    """The simulated scan in the sizes in which a sample of it covers most."""
+    """The simulated scan enlarged by the factors for which a sample of it covers most.
+
+    Parameters
+    ----------
+    sim, some_sim : simulated points as read, all and a sample
+    sizes : factors to be tried
+    """
     rough = []
     for size in sizes:
         source = _thinned(some_sim * size, settings, "sim")

@@ -162,7 +162,7 @@ def _vertical_axis(points: FloatArray, notes: list[str]) -> tuple[FloatArray, fl
 
 
 def _find_peak(points: FloatArray, height: FloatArray, notes: list[str]) -> float:
-    """Height of the road."""
+    """Height of the road along the axis."""
     near = height[np.linalg.norm(points, axis=1) <= NEAR_M]
     if not len(near):
         notes.append(f"no point within {NEAR_M:.0f} m; the road's peak is that of all points")
@@ -239,10 +239,10 @@ def _on_real_road(
         return on_road
     objects = search_tree(real_points[~cut.is_ground])
     distance_m, _ = objects.query(points, distance_upper_bound=2 * NO_OBJECT_M)
-    alone = np.flatnonzero(distance_m > NO_OBJECT_M)
-    nearest, ground_m = nearest_points(ground, points[alone])
-    above_m = height_m[alone] - cut.height_m[cut.is_ground][nearest]
-    on_road[alone] = (ground_m <= NO_OBJECT_M) & (above_m <= most_m)
+    no_object = np.flatnonzero(distance_m > NO_OBJECT_M)
+    nearest, ground_m = nearest_points(ground, points[no_object])
+    above_m = height_m[no_object] - cut.height_m[cut.is_ground][nearest]
+    on_road[no_object] = (ground_m <= NO_OBJECT_M) & (above_m <= most_m)
     return on_road
 
 

@@ -31,7 +31,6 @@ from .trust import (
     find_misses,
     image_text,
     later_returns,
-    misses_text,
     returns_text,
     rounding_of,
     sweeps_text,
@@ -169,9 +168,10 @@ def describe_with_gaps(
     rows = np.flatnonzero(is_return)
     sensor = SensorDescription(len(rows))
     range_m = np.linalg.norm(points[rows], axis=1)
-    if misses := find_misses(range_m):
-        sensor.doubts[MISSES] = misses_text(misses)
-        rows = rows[range_m <= misses[-1].limit_m]
+    limit_m, misses = find_misses(range_m)
+    if misses:
+        sensor.doubts[MISSES] = misses
+        rows = rows[range_m <= limit_m]
     if len(rows) < _MIN_POINTS:
         sensor.untold["elevation_deg"] = f"{len(rows)} returns, at least {_MIN_POINTS} are needed"
         return sensor, NO_GAPS

@@ -1,14 +1,13 @@
-"""Doubts about the points of a scan, each with what estimates of it cannot be trusted.
+"""Doubts about a scan: reasons why some estimates from its points cannot be trusted.
 
-Doubts are texts by what a cause may need, see `CauseModel.needs`: `ONE_SWEEP`, `SAME_SWEEPS`, `POSITION`, `BEAMS`.
-Points of the other two do no harm: `MISSES` are dropped by cleaning, and later returns of a ray (`RETURNS`) are left
-out of the estimates.
+A doubt is a text, by the need of a cause (`CauseModel.needs`) that the scan does not meet, such as `ONE_SWEEP` or
+`BEAMS`. Two doubts make no cause unknown: `MISSES`, which cleaning drops, and `RETURNS`, because the estimates leave
+out later returns of a ray.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import scipy
@@ -99,42 +98,38 @@ _BEYOND_EDGE = 0.2
 _INSIDE = 0.92
 
 
-@dataclass(frozen=True)
-class Misses:
-    """Rays without a return, which are written at a range.
+def find_misses(range_m: FloatArray) -> tuple[float, str]:
+    """Range beyond which points are rays without a return, infinite if there are none; and the doubt, "" for none.
 
-    range_m : median range of them
-    share : of all points
-    limit_m : all points beyond it are misses, but for those of a farther group
-    """
-
-    range_m: float
-    share: float
-    limit_m: float
-
-
-def find_misses(range_m: FloatArray) -> list[Misses]:
-    """Groups of rays without a return, the farthest first.
-
-    Each is the farthest of what is left, see `_SHELLS`, with twice as many points as before it, and others 5 m nearer.
+    Simulators write such rays at one range, and some at several. The farthest points are misses if they are in a narrow
+    shell, see `_SHELLS`, and at least twice as many as in the five widths before it; then the farthest of the rest.
 
     Examples
     --------
-    >>> find_misses(np.concatenate([np.linspace(3, 60, 700), np.full(300, 80.0)]))[0].share
-    0.3
+    >>> limit_m, doubt = find_misses(np.concatenate([np.linspace(3, 60, 700), np.full(300, 80.0)]))
+    >>> limit_m, doubt[:51]
+    (79.9, '30% of the points lie at 80.0 m: rays without a ret')
     >>> find_misses(np.linspace(3, 60, 700))
-    []
+    (inf, '')
     """
-    groups = []
+    limit_m = np.inf
+    places = []
     left_m = np.sort(range_m)
-    while (limit_m := _shell_limit(left_m)) is not None:
-        shell_m = left_m[left_m > limit_m]
-        middle_m = float(np.median(shell_m))
+    while shell_limit_m := _shell_limit(left_m):
+        shell_m = left_m[left_m > shell_limit_m]
+        middle_m = np.median(shell_m)
         tail_m = _TAIL * (left_m[-1] - middle_m)
-        limit_m = float(min(limit_m, middle_m - tail_m))
+        limit_m = float(min(shell_limit_m, middle_m - tail_m))
         left_m = left_m[left_m <= limit_m]
-        groups.append(Misses(middle_m, len(shell_m) / len(range_m), limit_m))
-    return groups
+        share = len(shell_m) / len(range_m)
+        places.append(f"{share:.0%} of the points lie at {middle_m:.1f} m")
+    if not places:
+        return limit_m, ""
+    rounded_m = np.floor(10 * limit_m) / 10
+    return limit_m, (
+        f"{' and '.join(places)}: rays without a return? "
+        f"They are left out; set input.max_range_m={rounded_m:g} to confirm"
+    )
 
 
 def _shell_limit(range_m: FloatArray) -> float | None:
@@ -155,18 +150,8 @@ def _shell_limit(range_m: FloatArray) -> float | None:
     return None
 
 
-def misses_text(groups: list[Misses]) -> str:
-    """The doubt, with the setting that drops the points."""
-    places = [f"{group.share:.0%} of the points lie at {group.range_m:.1f} m" for group in groups]
-    limit_m = np.floor(10 * groups[-1].limit_m) / 10
-    return (
-        f"{' and '.join(places)}: rays without a return? "
-        f"They are left out; set input.max_range_m={limit_m:g} to confirm"
-    )
-
-
 def later_returns(sweep: Sweep) -> BoolArray:
-    """(n,) True for returns that follow another one of the same beam and direction, beyond 1 m."""
+    """True for returns in the direction of the one before, of the same beam and beyond 1 m, (n,) bool."""
     is_same = (sweep.nearer_m > _NEAREST_M) & (sweep.gap_deg < _SAME_DEG)
     return np.append(False, is_same)
 
@@ -185,10 +170,10 @@ def returns_text(is_later: BoolArray) -> str | None:
 
 
 def rounding_of(points: FloatArray) -> float:
-    """Step to which x and y are rounded, of the coarser of both; 0 if one is not.
+    """Step to which x and y are rounded, metres, the larger of both; 0 if either is not rounded.
 
-    Then the differences of neighbouring values are multiples of the least ones. A constant may be added, as after
-    a float32 file of projected coordinates.
+    A coordinate is rounded if differences of its sorted values are multiples of the smallest ones. So a constant may
+    have been added after rounding, as to projected coordinates in float32.
 
     Parameters
     ----------
@@ -210,7 +195,7 @@ def rounding_of(points: FloatArray) -> float:
 
 
 def doubts_of_rounding(step_m: float) -> dict[str, str]:
-    """The doubt that coordinates are rounded to a step, by what cannot be trusted."""
+    """The doubt that coordinates are rounded to a step, metres, by the need that is not met; {} for a fine step."""
     text = f"coordinates are rounded to {100 * step_m:.3g} cm; export them with more digits"
     if step_m > _COARSE_M:
         return {FRAME: f"{text}, or relative to the sensor"}
@@ -220,7 +205,7 @@ def doubts_of_rounding(step_m: float) -> dict[str, str]:
 
 
 def doubts_without_beams(points: FloatArray) -> dict[str, str]:
-    """The doubt about a scan without recognisable beams, by what cannot be trusted."""
+    """The first doubt about a scan without recognisable beams, by the need that is not met; {} if there is none."""
     if text := _position_text(points):
         return {POSITION: text}
     if _is_several_sweeps(points):
@@ -232,9 +217,9 @@ def doubts_without_beams(points: FloatArray) -> dict[str, str]:
 
 
 def alternation_text(sweep: Sweep) -> str | None:
-    """The doubt that every second return of the beams is of another scan; None if it is not.
+    """The doubt that neighbouring returns of a beam are of two scans in turn; None if they are not.
 
-    Third differences of the ranges of neighbours are then larger than those of every second return.
+    If they are, ranges of neighbours have larger third differences than ranges of every second return.
     """
     if len(sweep.beam) < _FEWEST_GAPS:
         return None
@@ -252,10 +237,11 @@ def alternation_text(sweep: Sweep) -> str | None:
 
 
 def cropped_box(points: FloatArray, other: FloatArray) -> tuple[float, ...] | None:
-    """Box to which a scan is cropped, as minimum and maximum x and y; None if it is not.
+    """Box to which a scan is cropped: minimum x and y, maximum x and y; None if it is not cropped.
 
-    At two or more of its edges the other side goes on beyond the last point, with a fifth of the points before, which
-    are nearer than the farthest point of the scan.
+    A crop has two sharp edges or more. A sharp edge is nearer than the farthest point, and the other side continues
+    there: in the 2 m beyond, it has more than a fifth of its points in the 2 m before, where the scan has more than
+    half as many.
 
     Parameters
     ----------
@@ -274,8 +260,8 @@ def cropped_box(points: FloatArray, other: FloatArray) -> tuple[float, ...] | No
             n_before = np.count_nonzero(np.abs(beyond_m + 1.0) < 1.0)
             n_beyond = np.count_nonzero(np.abs(beyond_m - 1.0) < 1.0)
             n_at_edge = np.count_nonzero(place_m > edge_m - 2.0)
-            goes_on = n_beyond > _BEYOND_EDGE * n_before and edge_m < _INSIDE * reach_m
-            if goes_on and 2 * n_at_edge > n_before >= _FEWEST_AT_EDGE:
+            continues = n_beyond > _BEYOND_EDGE * n_before and edge_m < _INSIDE * reach_m
+            if continues and 2 * n_at_edge > n_before >= _FEWEST_AT_EDGE:
                 n_sharp += 1
     return tuple(corners) if n_sharp > 1 else None
 
@@ -336,9 +322,9 @@ def _are_multiples(values: FloatArray, unit: float) -> bool:
 
 
 def thinned_text(sweep: Sweep, points: FloatArray) -> str | None:
-    """The doubt that a scan was thinned by a grid: steps of its beams are wider near the sensor; None if they are not.
+    """The doubt that a scan was thinned by a voxel grid, because steps of its beams are wider near the sensor, or None.
 
-    With too few returns near or far, see `_grid_text`.
+    With too few returns near or far, the points are tested as in `_grid_text`.
 
     Parameters
     ----------
@@ -360,9 +346,10 @@ def thinned_text(sweep: Sweep, points: FloatArray) -> str | None:
 
 
 def _grid_text(points: FloatArray) -> str | None:
-    """The doubt that a scan was thinned by a grid: a voxel has one point each, though most have nearer neighbours.
+    """The doubt that a scan was thinned by a voxel grid, or None.
 
-    Voxels have a corner at the origin, or half an edge below the lowest coordinates.
+    No voxel then has two points, although most points have a neighbour nearer than the edge. Voxels have a corner at
+    the origin, or half an edge below the lowest coordinates.
 
     Parameters
     ----------
@@ -407,9 +394,10 @@ def _repeats_unevenly(gap_deg: FloatArray, n: int, most_deg: float) -> bool:
 
 
 def _is_several_sweeps(points: FloatArray) -> bool:
-    """True if the first or last of 2, 3, 5 or 10 parts of a scan has beams, in the directions of the other.
+    """True if a scan is 2, 3, 5 or 10 sweeps one after the other.
 
-    In a single sweep in the order of azimuths or beams both have different directions.
+    The first and the last part then have the same directions, which parts of a single sweep in the order of azimuths or
+    beams have not, and one of them has recognisable beams, which the scan as a whole has not.
 
     Parameters
     ----------
@@ -438,9 +426,9 @@ def is_far_from_origin(points: FloatArray, near_m: float = _NEAR_M) -> bool:
 
 
 def _position_text(points: FloatArray) -> str | None:
-    """The doubt that a scan without recognisable beams is not in the frame of its sensor.
+    """The doubt that a scan without recognisable beams is not in the frame of its sensor, or None.
 
-    Around a sensor points are densest: the median place of the fifth with the nearest neighbours is not far from it.
+    Points are densest around the sensor: the fifth with the nearest neighbours has its median place near the origin.
 
     Parameters
     ----------

@@ -134,6 +134,7 @@ def test_the_intervals_of_the_tutorial_are_as_it_says(tmp_path, monkeypatch):
     ]
     exec(change, {})
     found = fidpipe.compare("streets", "streets-build2", workers=None).causes.set_index("name")
-    bias, lost = found.loc["range bias"], found.loc["lost returns"]
+    bias = found.loc["range bias"]
+    lost = found.loc["lost returns"]
     assert bias.low < 0.10 < bias.high
     assert 0.28 < lost.high < 1 / 3

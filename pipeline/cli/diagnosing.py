@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -25,7 +26,7 @@ def diagnose(
     sources: Annotated[list[Path], typer.Argument(metavar="RUN | REAL SIM")],
     workers: Workers = None,
     scheduler: Scheduler = None,
-    since: Path | None = None,
+    since: Annotated[Path | None, typer.Option(metavar="RUN")] = None,
     tell_apart: bool = False,
     assignments: Assignments = None,
     as_json: AsJson = False,
@@ -150,7 +151,7 @@ def tasks(
     if predictions:
         agreement = compare_predictions(finished, *predictions)
         view = views.agreement_view(agreement)
-        values: JsonValue = agreement.as_dict()
+        values: JsonValue = asdict(agreement)
     elif odometry:
         rows = compare_odometry(finished)
         view = views.odometry_view(rows)

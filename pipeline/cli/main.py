@@ -18,7 +18,7 @@ from time import monotonic
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup, TyperOption
 
 from ...schemas.docstrings import split_docstring
 from ...schemas.errors import FidpipeError
@@ -43,7 +43,23 @@ _REFUSALS = (
 )
 
 
-class _Command(TyperCommand):
+class _ShortTypes:
+    """Help in which flags have no type, and ranges a short one."""
+
+    def get_params(self, ctx: Any) -> Any:
+        """The parameters."""
+        params = super().get_params(ctx)  # type: ignore[misc]
+        for param in params:
+            if not isinstance(param, TyperOption) or param.metavar is not None:
+                continue
+            if param.is_flag:
+                param.metavar = ""
+            elif param.type_descriptor.is_ranged:
+                param.metavar = "NUMBER"
+        return params
+
+
+class _Command(_ShortTypes, TyperCommand):
     """A command whose docstring describes its parameters; no empty lines between examples."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
@@ -54,8 +70,10 @@ class _Command(TyperCommand):
         for param in self.params:
             param.help = meanings.get(param.name, param.help)
             param.secondary_opts = []  # flags have no --no-flag
-            if getattr(param, "is_flag", False):
-                param.metavar = ""  # or their help says <bool>
+
+
+class _Group(_ShortTypes, TyperGroup):
+    """All commands."""
 
 
 def main() -> None:
@@ -227,6 +245,7 @@ def _application(name: str = "") -> typer.Typer:
     """The command of this name, or all if there is none: each takes milliseconds to set up."""
     application = typer.Typer(
         name="fidpipe",
+        cls=_Group,
         rich_markup_mode="markdown",
         no_args_is_help=True,
         pretty_exceptions_enable=False,

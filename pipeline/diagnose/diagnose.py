@@ -71,11 +71,10 @@ def _survey(
     stale = {}
     for row in run.scored:
         pair = ScanPair(row["pair_id"], None, None)
-        key = plan_pair(pair).keys[stage.name, ""]
         record = run.store.ledger.jobs(pair.pair_id).get((stage.name, ""))
-        if record is not None and record.key == key and not run.store.damaged_files(record):
-            continue
-        todo.append(pair)
-        if record is not None:
+        if record is None:
+            todo.append(pair)
+        elif record.key != plan_pair(pair).keys[record.job] or run.store.damaged_files(record):
+            todo.append(pair)
             stale[record.name] = OUT_OF_DATE
     return todo, stale

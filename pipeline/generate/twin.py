@@ -25,6 +25,7 @@ from ...stages.generate.ray_casting import fire, require_ray_caster
 from ...stages.generate.rescan import EMPTY_MAP, RECORDED, extend_map, recorded_directions, rescan
 from ..datasets.pairs import Dataset, ScanPair
 from ..datasets.readers import read_scan
+from ..engine.pool import one_blas_thread
 from ..engine.progress import Reporter
 from ..run import select_pairs
 from ..storage.files import hash_file, key_of, write_whole
@@ -174,9 +175,7 @@ def _rescan(task: _Task) -> tuple[FloatArray, FloatArray]:
     StageError
         Fewer than two of the other scans can be read, or no point remains.
     """
-    from threadpoolctl import threadpool_limits
-
-    with threadpool_limits(1):  # or the last bits would differ between machines
+    with one_blas_thread():  # or the last bits would differ between machines
         scan, _ = _read(task, task.frame)
         T_sensor_world = np.linalg.inv(square(task.frame.T_world_sensor or ()))
         voxels = EMPTY_MAP

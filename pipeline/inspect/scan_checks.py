@@ -155,8 +155,8 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
         folder=folder,
         pairs=checks,
         sensors=describe_sides(samples),
-        causes=list(named_causes(values, blocks)),
-        unknown=list(unknown_causes(values)),
+        causes=named_causes(values, blocks),
+        unknown=unknown_causes(values),
         notes=side_notes(samples),
         doubts=[*_frame_doubts(checks), *sensor_doubts(samples, serious=True)],
         faults=faults,
@@ -184,10 +184,8 @@ def _check_pairs(
         n_workers=None if in_workers else 1,
         may_end_workers=in_workers,
     )
-    for pair in pairs:
-        if pair.pair_id in failures:
-            checks[pair.pair_id] = PairCheck(pair, fault=failures[pair.pair_id])
-    return [checks[pair.pair_id] for pair in pairs]
+    broken = {name: PairCheck(tasks[name][0], fault=reason) for name, reason in failures.items()}
+    return [(checks | broken)[name] for name in tasks]
 
 
 def check_pair(task: tuple[ScanPair, Settings, dict[int, str], bool, bool]) -> PairCheck:

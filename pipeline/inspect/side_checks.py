@@ -106,12 +106,8 @@ def describe_sides(samples: Samples) -> dict[str, SensorDescription]:
     for side, scans in samples.items():
         described = [scan.sensor for scan in scans.values() if scan.sensor]
         if described:
-            sensors[side] = max(described, key=_is_telling)
+            sensors[side] = max(described, key=lambda s: (bool(s.elevation_deg), s.n_points))
     return sensors
-
-
-def _is_telling(sensor: SensorDescription) -> tuple[bool, int]:
-    return bool(sensor.elevation_deg), sensor.n_points
 
 
 def sensor_doubts(samples: Samples, *, serious: bool) -> list[str]:

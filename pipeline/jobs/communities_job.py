@@ -67,9 +67,8 @@ def _columns(objects: Objects, community: IntArray, noted: Annotation) -> Row:
         "community_id": np.arange(len(objects.n_points)),
         "label": majority_labels(community, names, len(objects.n_points)),
     }
-    for name, values in zip(("linearity", "planarity", "scattering"), objects.shape.T, strict=True):
-        columns[name] = values
-    return columns
+    shape = zip(("linearity", "planarity", "scattering"), objects.shape.T, strict=True)
+    return columns | dict(shape)
 
 
 def _takes_real(settings: Settings) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ import numpy as np
 from ...schemas.columns import SIDES, Row
 from ...schemas.metric_catalogue import COVERAGE_REACHES
 from ...stages.coverage import Coverage, below_cut, cover, nearest_distances
-from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
+from ..stage import OF_PAIR, Inputs, JobResult, Metadata, Stage
 from .points_job import column, object_points
 
 _COVERED = [f"covered_{reach}" for reach in COVERAGE_REACHES]
@@ -42,7 +42,6 @@ STAGE = Stage(
     name="coverage",
     takes=("ground", "communities", "objects"),
     gives=("coverage",),
-    grain=Grain.PAIR,
     version=2,
     make=make_coverage,
 )

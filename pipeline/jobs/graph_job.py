@@ -26,6 +26,5 @@ STAGE = Stage(
     gives=("graph",),
     settings=("graph",),
     grain=Grain.SIDE,
-    version=1,
     make=make_graph,
 )

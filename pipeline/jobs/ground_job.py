@@ -23,7 +23,7 @@ from ..stage import (
     Metadata,
     Stage,
 )
-from .points_job import cut_scan
+from .points_job import by_axis, cut_scan
 
 _MEASURES = ("peak_m", "threshold_m", "loss", "iterations", "tilt_deg")
 
@@ -60,7 +60,7 @@ def make_ground(inputs: Inputs) -> JobResult:
 def _columns(scan: Scan, clean: CleanResult, cut: GroundResult) -> Row:
     """The clean points with their ground flags."""
     ids = clean.point_ids
-    columns = vars(cut) | dict(zip("xyz", clean.points.T, strict=True)) | {"point_id": ids}
+    columns = {"point_id": ids} | vars(cut) | by_axis("{}", clean.points)
     optional = {"intensity": scan.intensity, "label": scan.labels, "instance": scan.instances}
     return columns | {name: values[ids] for name, values in optional.items() if values is not None}
 
@@ -74,8 +74,13 @@ def _metadata(side: str, scan: Scan, clean: CleanResult, cut: GroundResult) -> M
     measures["removed_share"] = n_ground / n_clean
     of_pair = {f"n_{side}_{name[2:]}": count for name, count in counts.items()}
     of_pair |= {f"ground_{side}_{name}": value for name, value in measures.items()}
-    others = {"dropped": clean.dropped, "axis": cut.axis.tolist(), "notes": list(cut.notes)}
-    return counts | measures | others | {OF_PAIR: of_pair}
+    others = {
+        "dropped": clean.dropped,
+        "axis": cut.axis.tolist(),
+        "notes": list(cut.notes),
+        OF_PAIR: of_pair,
+    }
+    return counts | measures | others
 
 
 def _takes_real(settings: Settings) -> tuple[str, ...]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pyarrow as pa
 
-from ...schemas.columns import Row
 from ...schemas.metric_catalogue import OBJECT_METRICS
 from ...stages.arrays import FloatArray
 from ...stages.metrics import score_object
@@ -20,10 +19,7 @@ def make_metrics(inputs: Inputs) -> JobResult:
     rows = []
     for match, real, sim in matched_objects(inputs):
         nodes = kept_nodes(selection, match["real_id"], real, sim)
-        row: Row = {
-            "real_id": match["real_id"],
-            "sim_id": match["sim_id"],
-            "centroid_distance_m": match["centroid_distance_m"],
+        row = match | {
             "n_real": len(real.points),
             "n_sim": len(sim.points),
             "n_keep": len(nodes.real_nodes),

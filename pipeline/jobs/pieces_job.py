@@ -8,7 +8,7 @@ import pyarrow as pa
 from ...schemas.columns import SIDES, Row
 from ...stages.objects import majority_labels
 from ...stages.pieces import Pieces, count_pieces, find_pieces
-from ..stage import OF_PAIR, Grain, Inputs, JobResult, Stage
+from ..stage import OF_PAIR, Inputs, JobResult, Stage
 from .points_job import by_axis, cut_scan, object_columns
 
 
@@ -45,6 +45,5 @@ STAGE = Stage(
     takes=("ground",),
     gives=("pieces",),
     settings=("pieces",),
-    grain=Grain.PAIR,
     make=make_pieces,
 )

@@ -57,14 +57,15 @@ def matched_objects(inputs: Inputs) -> Iterator[tuple[dict[str, Any], Subgraph, 
             graphs.append(inputs.memo(_matched_subgraphs, *tables, matching, f"{side}_id"))
     matched = _matched(matching)
     if inputs.objects:
-        matched = matched.filter(pa.array(np.isin(column(matched, "real_id"), inputs.objects)))
+        is_in_batch = np.isin(column(matched, "real_id"), inputs.objects)
+        matched = matched.filter(pa.array(is_in_batch))
     for match in matched.to_pylist():
         yield match, graphs[0][match["real_id"]], graphs[1][match["sim_id"]]
 
 
-def coordinates(table: pa.Table) -> FloatArray:
-    """The coordinates of points, (n, 3) float64 metres."""
-    return np.column_stack([column(table, axis) for axis in "xyz"])
+def coordinates(table: pa.Table, name: str = "{}") -> FloatArray:
+    """The coordinates of points, (n, 3) float64 metres, in columns of these names with the axis in place of {}."""
+    return np.column_stack([column(table, name.format(axis)) for axis in "xyz"])
 
 
 def object_columns(objects: Objects) -> Row:
@@ -105,7 +106,11 @@ def edges_in(point_ids: IntArray, graph: pa.Table) -> Edges:
 
 
 def _matched_subgraphs(
-    ground: pa.Table, graph: pa.Table, communities: pa.Table, matching: pa.Table, id_column: str
+    ground: pa.Table,
+    graph: pa.Table,
+    communities: pa.Table,
+    matching: pa.Table,
+    id_column: str,
 ) -> dict[int, Subgraph]:
     point_ids, points = points_in(ground)
     edges = edges_in(point_ids, graph)

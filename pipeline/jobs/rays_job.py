@@ -22,7 +22,7 @@ from ...stages.rays import (
     find_rays,
     score_rays,
 )
-from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
+from ..stage import OF_PAIR, Inputs, JobResult, Metadata, Stage
 from .points_job import column, coordinates, sensor_of
 
 
@@ -69,7 +69,8 @@ def _rays(inputs: Inputs, ground: Sequence[pa.Table]) -> Rays | str:
         real = real - position
         sim = sim - position
         T_real_sim = seen_from(position, T_real_sim)
-    return find_rays(real, sim, (sensor_of(inputs, "real"), sensor_of(inputs, "sim")), T_real_sim)
+    sensors = sensor_of(inputs, "real"), sensor_of(inputs, "sim")
+    return find_rays(real, sim, sensors, T_real_sim)
 
 
 def _intensity_scores(
@@ -96,7 +97,8 @@ def _columns(rays: Rays, ground: Sequence[pa.Table]) -> Row:
         columns[f"{side}_point_id"] = returned["point_id"]
         labels.append(returned["label"])
     columns["outcome"] = pa.array(OUTCOMES).take(pa.array(rays.outcome))
-    columns["label"] = pc.if_else(pa.array(rays.real_row >= 0), *labels).cast(pa.string())
+    has_real = pa.array(rays.real_row >= 0)
+    columns["label"] = pc.if_else(has_real, *labels).cast(pa.string())
     return columns
 
 
@@ -125,6 +127,5 @@ STAGE = Stage(
     takes=("ground", "sensor"),
     gives=("rays", "ray_scores"),
     settings=("input",),
-    grain=Grain.PAIR,
     make=make_rays,
 )

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...schemas.columns import Row
+from ...schemas.columns import SIDES, Row
 from ...schemas.settings import Settings
 from ...stages.objects import majority_labels
 from ...stages.pieces import CutScan
@@ -22,7 +22,7 @@ from ...stages.tasks import (
     compare_obstacles,
     compare_occupancy,
 )
-from ..stage import Grain, Inputs, JobResult, Stage
+from ..stage import Inputs, JobResult, Stage
 from ..storage.table_files import JobRecord
 from .points_job import by_axis, column, cut_scan
 
@@ -37,8 +37,7 @@ _TASKS = {
 def make_tasks(inputs: Inputs) -> JobResult:
     """Compare both scans in each requested task; the metadata hold the gaps over everything."""
     settings = inputs.settings.tasks
-    real = cut_scan(inputs.table("ground", "real"))
-    sim = cut_scan(inputs.table("ground", "sim"))
+    real, sim = [cut_scan(inputs.table("ground", side)) for side in SIDES]
     gaps: list[Gap] = []
     obstacles: list[Row] = []
     for name in settings.names:
@@ -98,7 +97,6 @@ STAGE = Stage(
     takes=("ground", "communities"),
     gives=("tasks", "task_objects"),
     settings=("tasks",),
-    grain=Grain.PAIR,
     make=make_tasks,
     libraries=("scikit-learn",),
     is_wanted=lambda settings: bool(settings.tasks.names),

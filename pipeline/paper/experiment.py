@@ -17,7 +17,6 @@ import pandas as pd
 import pyarrow as pa
 
 from ...schemas.columns import Row
-from ...schemas.errors import ScanError
 from ...schemas.record import RunHeader
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
@@ -30,7 +29,7 @@ from ..engine.worker import PairTables, run_in_memory
 from ..jobs import STAGES, baselines_job
 from ..run import Run
 from ..run_tables import records_of, write_table
-from ..stage import SCAN, Grain, Inputs, JobResult, Stage
+from ..stage import SCAN, Inputs, JobResult, Stage
 from ..storage.files import key_of
 from ..storage.folder import RunFolder, check_folder
 from ..storage.run_record import library_versions, write_record
@@ -80,7 +79,6 @@ def experiment_stage(
         takes=(SCAN,),
         gives=tables,
         settings=(*groups, name),
-        grain=Grain.PAIR,
         version=version + sum(stage.version for stage in stages),
         make=make,
         libraries=tuple(dict.fromkeys(libraries)),
@@ -98,7 +96,7 @@ def run_stages(inputs: Inputs, stages: Sequence[Stage], sides: Sequence[str]) ->
     """Tables of stages on some sides of a pair, in memory."""
     scans = {side: inputs.scans[side]() for side in sides}
     pair = ScanPair(inputs.pair_id, None, None, T_real_sim=inputs.T_real_sim)
-    return run_in_memory(stages, settings_of(inputs.settings), pair=pair, scans=scans)[0]
+    return run_in_memory(stages, inputs.settings, pair=pair, scans=scans)[0]
 
 
 def read_source(path: Path) -> Dataset:
@@ -146,8 +144,6 @@ def run_experiment(
     RunError
         The folder holds something else, is in use, or holds a finished experiment of another
         request.
-    ScanError
-        The only scan cannot be evaluated.
     """
     check_folder(out, source.folder, stage.name)
     folder = RunFolder(out)
@@ -157,16 +153,13 @@ def run_experiment(
         run.survey_results(replace=replace_finished)
         with run.schedule(Machines(n_workers)) as schedule:
             schedule.run()
-        failures = run.collector.failures
-        if failures and scan_ref(source.folder).exists:
-            raise ScanError("; ".join(failures.values()))
         records = list(records_of(folder, (stage,), [pair.pair_id for pair in source.pairs]))
         tables = _write_tables(stage, folder, records, scores)
         run.write_results()
     return ExperimentOutcome(
         folder=out,
         settings=settings,
-        failures=failures,
+        failures=run.collector.failures,
         n_made=run.collector.n_made,
         n_reused=len(records) - run.collector.n_made,
         pairs=[record.pair_id for record in records],

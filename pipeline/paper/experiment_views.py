@@ -78,8 +78,6 @@ def show_ablation(outcome: ExperimentOutcome) -> View:
         renamed = means.rename(columns={name: "amount"})
         drawn.append(renamed.assign(axis=name, curve="mean over pairs", current=value))
     if parts:
-        text = "A small r_lambda can also result from a poor alignment (a large change)."
-        parts.append(Note(f"{text}\n"))
         title = f"{n_pairs}; dashed: current"
         _draw(outcome, "ablate", title, pd.concat(drawn), ("match_rate", "r_lambda_mean"))
     return [*parts, *_last_lines(outcome, "ablate")]

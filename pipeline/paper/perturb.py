@@ -61,14 +61,6 @@ CLASSES = ("vegetation", "car", "tree", "wall")
 #: An object of at most k + 1 points remains a complete graph under any alteration; a typical one has twice as many.
 LEAST_POINTS_OVER_K = 2
 PURE_SHARE = 0.75
-#: Columns of `perturb_global` from the summary of a comparison.
-_SUMMARY = (
-    "n_matched",
-    "n_identical",
-    "n_too_small",
-    "match_rate",
-    *(f"{metric}_mean" for metric in OBJECT_METRICS),
-)
 
 
 class PerturbRequest(BaseModel, frozen=True):
@@ -209,9 +201,7 @@ def _altered_scan(
         used = settings.model_copy(update={"communities": communities})
     both = tables | {("ground", "sim"): ground_table(altered)}  # the real side is unaltered
     summary = score_pair(used, both)
-    row |= {name: summary[name] for name in _SUMMARY}
-    row["n_communities_altered"] = summary["n_communities_sim"]
-    return row
+    return row | summary | {"n_communities_altered": summary["n_communities_sim"]}
 
 
 def _altered_object(
@@ -263,18 +253,11 @@ def parse_levels(words: Sequence[str]) -> tuple[Perturbation, ...]:
                 f"--sweep {word!r}: expected one of {', '.join(KINDS)}; got {kind!r}",
             )
         for text in (amounts if equals else AMOUNTS[kind]).split(","):
-            levels[_level(word, kind, text)] = None
+            shift, _, amount = text.rpartition(":") if kind == "rigid" else ("", "", text)
+            option = f"--sweep {word!r}: {kind}"
+            shift_m = FLAWS["offset"].parse(shift or "0", option)
+            levels[Perturbation(kind, KINDS[kind].parse(amount, option), shift_m)] = None
     return tuple(levels)
-
-
-def _level(word: str, kind: str, text: str) -> Perturbation:
-    """The level of an amount; that of `rigid` is an angle, or metres:degrees."""
-    shift, amount = "", text
-    if kind == "rigid":
-        shift, _, amount = text.rpartition(":")
-    option = f"--sweep {word!r}: {kind}"
-    shift_m = FLAWS["offset"].parse(shift or "0", option)
-    return Perturbation(kind, KINDS[kind].parse(amount, option), shift_m)
 
 
 def _scores(tables: Mapping[str, pd.DataFrame]) -> list[pd.DataFrame]:

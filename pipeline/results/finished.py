@@ -86,7 +86,7 @@ class FinishedRun:
         record = record_of_run(folder)
         self.store = RunFolder(folder)
         try:
-            self.record = RunRecord.from_dict(record)
+            self.record = RunRecord.model_validate(record)
         except ValueError as error:
             if self.store.is_locked:
                 raise RunError(

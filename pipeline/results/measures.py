@@ -12,8 +12,10 @@ import numpy as np
 from ...schemas.cause_catalogue import CAUSES, UNEVEN
 from ...schemas.errors import (
     DatasetError,
+    RunError,
     ScanError,
     SettingsError,
+    StageError,
     suggestion,
 )
 from ...schemas.metric_catalogue import (
@@ -29,6 +31,7 @@ from ..datasets.content import input_hashes
 from ..datasets.pairs import Dataset, local_folder, read_dataset
 from .best_case import RunExcess
 from .finished import FinishedRun
+from .odometry import compare_odometry
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -57,6 +60,8 @@ SENSOR_VALUES: dict[str, str] = {
 }
 #: Gaps of tasks: `tasks.objects.lost` is the mean, `tasks.objects.lost.max` the largest value.
 TASK_GAPS = {f"tasks.{name}": name for name in scores_of("task")}
+#: Measures of odometry: `tasks.odometry.drift_m` is the gap over the longest sequence of scans.
+ODOMETRY_MEASURES = ("drift_m", "step_m", "turn_deg")
 #: Names of causes by that of the catalogue.
 CAUSE_NAMES = {name.replace(" ", "_"): name for name in CAUSES if name != UNEVEN}
 _COLUMNS = PAIR_SCORES | DOTTED | SENSOR_VALUES | TASK_GAPS
@@ -68,6 +73,7 @@ _EXAMPLES = (
     *("not_found.within_20m", "not_found.share", "extra.within_20m", "extra.share", "matched.min"),
     *(f"pairs.{state}" for state in STATES),
     *(f"causes.{name}" for name in CAUSE_NAMES),
+    *(f"tasks.odometry.{measure}" for measure in ODOMETRY_MEASURES),
 )
 
 
@@ -184,6 +190,17 @@ class Measures:
         if not self.run.names:
             raise _AbsentError("no pair is scored")
 
+    def _odometry(self, measure: str) -> float:
+        """The gap of odometry over the longest sequence of scans."""
+        try:
+            return self._odometry_gaps[measure]
+        except (RunError, StageError) as error:
+            raise _AbsentError(str(error)) from error
+
+    @cached_property
+    def _odometry_gaps(self) -> dict[str, float]:
+        return {row["measure"]: row["gap"] for row in compare_odometry(self.run)}
+
     def _pairs(self, state: str) -> float:
         """Number of pairs in a state; `changed` are of other scans or labels than now, or not in the dataset."""
         record = self.run.record
@@ -247,6 +264,7 @@ _MEASURES: dict[str, Callable[..., float]] = {
     rf"(?:objects\.|{_CLASS}){_either('score', DISTRIBUTED)}\.{_STATISTIC}": Measures._of_objects,
     rf"(?:{_CLASS})?{_FATE}{_WITHIN}(?:\.{_either('count', COUNTS)})?": Measures._count,
     rf"pairs\.{_either('state', STATES)}": Measures._pairs,
+    rf"tasks\.odometry\.{_either('measure', ODOMETRY_MEASURES)}": Measures._odometry,
     rf"causes\.{_either('cause', CAUSE_NAMES)}(?:\.{_either('end', ('low', 'high'))})?": (
         Measures._cause
     ),

@@ -24,6 +24,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import StringConstraints
 
+from ...schemas.columns import Table
 from ...schemas.errors import RunError
 from ...schemas.tables import TABLES
 from .files import write_whole
@@ -202,7 +203,7 @@ class TableFolder:
             "fidpipe.key": key,
         }
         is_small = isinstance(rows, pa.Table) and rows.num_rows < _FEWEST_COMPRESSED
-        options = _writer_options(schema.schema) | {"compression": "none" if is_small else "zstd"}
+        options = _writer_options(schema) | {"compression": "none" if is_small else "zstd"}
         sink = pa.BufferOutputStream()
         with pq.ParquetWriter(sink, schema.schema, **options) as writer:
             for part in parts:
@@ -313,13 +314,15 @@ _CHECKED: dict[str, float] = {}
 
 
 @cache
-def _writer_options(schema: pa.Schema) -> dict[str, Any]:
-    """Options of `pyarrow.parquet.ParquetWriter`, which depend on the types of the columns alone."""
-    encodings = {field.name: _ENCODINGS[field.type] for field in schema if field.type in _ENCODINGS}
-    words = [name for name in schema.names if name not in encodings]
+def _writer_options(table: Table) -> dict[str, Any]:
+    """Options of `pyarrow.parquet.ParquetWriter`: no statistics, as a file has one pair, and its name no dictionary."""
+    columns = [field for field in table.schema if field.name not in table.of_file]
+    encodings = {
+        field.name: _ENCODINGS[field.type] for field in columns if field.type in _ENCODINGS
+    }
     return {
-        "use_dictionary": words,
-        "write_statistics": words,  # of numbers they cost a quarter of the time, and a file has one pair
+        "use_dictionary": [field.name for field in columns if field.name not in encodings],
+        "write_statistics": False,
         "column_encoding": encodings,
         "store_schema": False,
     }

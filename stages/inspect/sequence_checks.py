@@ -13,6 +13,7 @@ from ..arrays import FloatArray, level_m
 from ..frame_search import ground_height
 from ..linalg.subgraph import connected_points
 from ..surfels import voxel_ids
+from ..thinning import shares_voxel
 
 _NEAREST_M = 3.0
 _FARTHEST_M = 40.0
@@ -53,8 +54,7 @@ class SequenceScan:
     def __init__(self, points: FloatArray) -> None:
         level = level_m(points)
         points = points[(level > _NEAREST_M) & (level < _FARTHEST_M)]
-        _, first = np.unique(voxel_ids(points, _VOXEL_M), return_index=True)
-        thinned = points[np.sort(first)]
+        thinned = points[~shares_voxel(points, _VOXEL_M)]
         self.ground_m = ground_height(thinned)
         above = thinned[thinned[:, 2] > self.ground_m + _ABOVE_GROUND_M]
         order = np.random.default_rng(0).permutation(len(above))

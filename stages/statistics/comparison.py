@@ -86,7 +86,7 @@ def block_means(values: FloatArray, blocks: IntArray) -> FloatArray:
 def paired_difference(
     before: FloatArray,
     after: FloatArray,
-    blocks: IntArray | None = None,
+    blocks: IntArray,
 ) -> Difference:
     """Mean of after - before over the blocks, with the interval of `mean_interval`.
 
@@ -95,11 +95,11 @@ def paired_difference(
     Parameters
     ----------
     before, after : (n,) score of each pair, NaN for null
-    blocks : (n,) block of each pair, from `blocks_of`; by default each pair is a block
+    blocks : (n,) block of each pair, from `blocks_of`
 
     Examples
     --------
-    >>> found = paired_difference(np.zeros(3), np.array([0.4, 0.5, 0.6]))
+    >>> found = paired_difference(np.zeros(3), np.array([0.4, 0.5, 0.6]), np.arange(3))
     >>> found.difference, found.n_blocks
     (0.5, 3)
     """
@@ -107,8 +107,7 @@ def paired_difference(
     n_pairs = int(np.count_nonzero(known))
     if not n_pairs:
         return Difference()
-    blocks = np.arange(n_pairs, dtype=np.int32) if blocks is None else blocks[known]
-    a, b = block_means(np.stack([before[known], after[known]]), blocks)
+    a, b = block_means(np.stack([before[known], after[known]]), blocks[known])
     change = b - a
     mean, std = mean_and_std(change)
     low = high = None

@@ -70,7 +70,7 @@ def low(low_run, tmp_path):
 
 def test_the_flaw_has_nearly_all_of_the_gain(low):
     shown = command("diagnose", low, "--workers", 1, "--json", code=0)
-    diagnosis = Diagnosis.from_dict(json.loads(shown.stdout))
+    diagnosis = Diagnosis.model_validate(json.loads(shown.stdout))
     first = diagnosis.causes[0]
     assert first.name == "height"
     assert first.estimate == pytest.approx(-TOO_LOW_M, abs=0.02)

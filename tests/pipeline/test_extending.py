@@ -272,9 +272,9 @@ def test_a_new_format_is_checked_and_gives_the_numbers_of_a_known_one(tmp_path):
     for name, dataset in streets.items():
         package.fidpipe("run", dataset, "--out", tmp_path / f"run-{name}", "--workers", 1)
     for table in ("objects/a.real", "objects/a.sim", "metrics/a"):
-        new, known = (
+        new, known = [
             pq.read_table(tmp_path / f"run-{name}" / f"{table}.parquet") for name in streets
-        )
+        ]
         assert new.num_rows
         assert new.equals(known)
     (streets["xyz"] / "sim" / "a.xyz").write_text("1 2\n3 4\n")

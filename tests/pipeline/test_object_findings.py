@@ -45,7 +45,8 @@ def test_unmatched_objects_are_counted_by_range_of_their_own_side(by_hand):
 
 def test_a_class_is_that_of_the_real_object_and_nulls_are_left_out(by_hand):
     classes = groups_by(by_hand, "class")
-    car, tree = classes["car"], classes["tree"]
+    car = classes["car"]
+    tree = classes["tree"]
     assert (car.n_real, car.n_not_found) == (2, 0)
     assert (car.scores["cdc"], car.scores["r_lambda"]) == (0.2, 0.2)
     assert (tree.n_real, tree.n_not_found, tree.n_sim, tree.n_extra) == (2, 1, 2, 1)

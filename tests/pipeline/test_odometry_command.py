@@ -7,6 +7,7 @@ import pytest
 
 import fidpipe
 from fidpipe.pipeline.results import odometry
+from fidpipe.pipeline.results.measures import Measures
 from fidpipe.schemas.errors import RunError
 from runs import command, run
 from scenes import drifted, street, write_pair
@@ -53,3 +54,19 @@ def test_motion_and_drift_of_both_sides_are_shown(folder):
 def test_both_options_at_once_are_rejected(folder):
     words = ("tasks", folder / "run", "--odometry", "--predictions", "a", "b")
     assert "expected --predictions or --odometry" in command(*words, code=2).stderr
+
+
+def test_a_gate_bounds_the_gaps(folder):
+    pytest.importorskip("kiss_icp")
+    rows = json.loads(command("tasks", folder / "run", "--odometry", "--json", code=0).stdout)
+    drift_m = rows[0]["gap"]
+    for limit_m, code in ((2 * drift_m, 0), (drift_m / 2, 4)):
+        words = ("gate", folder / "run", "--max", f"tasks.odometry.drift_m={limit_m}")
+        command(*words, code=code)
+
+
+def test_a_gate_without_a_sequence_says_so(folder, monkeypatch):
+    monkeypatch.setattr(odometry, "_LONGEST_STEP_S", 0.05)
+    value, reason = Measures(fidpipe.open_run(folder / "run")).named("tasks.odometry.step_m")
+    assert value is None
+    assert "scans that follow one another" in reason

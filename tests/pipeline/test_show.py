@@ -101,7 +101,7 @@ def test_a_missing_reference_object_shows_what_little_of_it_is_simulated(by_refe
     real = [of["real"] for of in found if of["real"]]
     assert sorted(row["community_id"] for row in real) == sorted(matching.real_id.dropna())
     missing = [of for of in found if of["real"] and of["real"]["fate"] == "not_found"]
-    (pole,) = (of for of in missing if of["sim"]["n_points"])
+    (pole,) = [of for of in missing if of["sim"]["n_points"]]
     assert pole["sim"]["n_points"] == 3
     assert run_.object("0", f"sim:{pole['sim']['community_id']}") == pole
     text = shown(by_reference, "0", pole["real"]["community_id"])

@@ -29,8 +29,7 @@ def frames_of(source: ScanRef | Path | str) -> list[ScanRef]:
             f"{source}: expected a bag or a capture of packets: files of this format hold no frames",
         )
     with _reader(recording) as reader:
-        frames: list[ScanRef] = reader.frames(recording)
-    return frames
+        return reader.frames(recording)
 
 
 def read_scan(

@@ -41,9 +41,9 @@ def read(path: Path, columns: tuple[str, ...] = ()) -> Scan:
     if columns and len(columns) == n_columns:
         names = list(columns)
     elif not has_header:
-        got = cause_of(",".join(names))
         raise ScanError(
-            f"{path}: expected a header such as x,y,z,intensity, got {got}; write one, or {remedy}",
+            f"{path}: expected a header such as x,y,z,intensity, got {cause_of(','.join(names))}; "
+            f"write one, or {remedy}",
         )
     if has_header and n_columns == 1:
         raise ScanError(

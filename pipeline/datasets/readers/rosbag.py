@@ -130,9 +130,11 @@ def _topic(bag: Any, scan: ScanRef) -> str:
     if len(candidates) == 1:
         return candidates[0]
     if candidates:
-        example = f"{scan.file.name}#{min(candidates)}@{scan.frame or 0}"
         listed = ", ".join(sorted(candidates))
-        raise ScanError(f"{scan.file}: point clouds on {listed}; name one topic, such as {example}")
+        raise ScanError(
+            f"{scan.file}: point clouds on {listed}; name one topic, such as "
+            f"{scan.file.name}#{min(candidates)}@{scan.frame or 0}"
+        )
     listed = ", ".join(sorted(f"{topic} ({kind})" for topic, kind in types.items()))
     raise ScanError(
         f"{scan.file}: expected {scan.topic or 'a topic'} of {_CLOUD}, {foxglove.CLOUD} or "

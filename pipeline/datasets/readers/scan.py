@@ -53,7 +53,7 @@ for _format, _labels in read_data("class_names").items():
     CLASSES[_format] = {int(number): label for number, label in _labels.items()}
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class Scan:
     """One scan as stored in its file.
 
@@ -76,14 +76,11 @@ class Scan:
     label_names: Mapping[int, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
-    def __repr__(self) -> str:
-        optional = ("intensity", "labels", "instances", "rings", "times_s")
-        others = "".join(f", {name}" for name in optional if getattr(self, name) is not None)
-        return f"<scan of {len(self.points)} points{others}>"
-
 
 def scan_from_columns(
-    path: Path, columns: Mapping[str, NDArray[Any]], label_names: Mapping[int, str] | None = None
+    path: Path,
+    columns: Mapping[str, NDArray[Any]],
+    label_names: Mapping[int, str] | None = None,
 ) -> Scan:
     """A scan from named columns: the last step of every reader.
 
@@ -279,7 +276,7 @@ def _instance_numbers(numbers: FloatArray | None) -> IntArray | None:
         return None
     is_object = numbers > 0  # not where it is NaN
     objects, ids = np.unique(numbers[is_object], return_inverse=True)
-    if len(objects) and (objects[-1] >= 2**31 or np.any(objects != np.round(objects))):
+    if not _are_whole(objects, 2**31):
         objects = np.arange(1.0, len(objects) + 1)
     instances = np.zeros(len(numbers), dtype=np.int32)
     instances[is_object] = objects[ids].astype(np.int32)
@@ -291,8 +288,13 @@ def _ring_numbers(numbers: FloatArray | None) -> IntArray | None:
     if numbers is None:
         return None
     numbers = np.nan_to_num(numbers, nan=-1.0)
-    is_whole = bool(np.all((np.abs(numbers) < 2**31) & (numbers == np.round(numbers))))
-    return numbers.astype(np.int32) if is_whole else None
+    return numbers.astype(np.int32) if _are_whole(numbers, 2**31) else None
+
+
+def _are_whole(numbers: FloatArray, limit: int) -> bool:
+    """True if all numbers are integers whose magnitude is below a limit."""
+    is_whole = numbers == np.round(numbers)
+    return bool(np.all(is_whole & (np.abs(numbers) < limit)))
 
 
 def _label_text(path: Path, column: NDArray[Any]) -> NDArray[np.str_]:
@@ -303,6 +305,6 @@ def _label_text(path: Path, column: NDArray[Any]) -> NDArray[np.str_]:
             raise ScanError(
                 f"{path}: expected labels of at most {LONGEST_LABEL} characters, got one of {longest}",
             )
-    if column.dtype.kind == "f" and np.all((np.abs(column) < 2**53) & (column == np.round(column))):
+    if column.dtype.kind == "f" and _are_whole(column, 2**53):
         column = column.astype(np.int64)
     return column.astype(np.str_)

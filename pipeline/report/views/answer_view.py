@@ -132,8 +132,10 @@ def unknown_words(unknown: Sequence[Unknown]) -> list[str]:
     return [f"unknown: {'; '.join(groups)}"] if groups else []
 
 
-def next_commands(run: FinishedRun, excess: RunExcess | None) -> list[str]:
-    """The commands that lead on from a run."""
+def next_commands(
+    run: FinishedRun, excess: RunExcess | None, *, is_page: bool = False
+) -> list[str]:
+    """The commands that lead on from a run, or from its page."""
     record = run.record
     name = url_or_path(run.folder)
     if read_recipe(run.folder):
@@ -143,7 +145,7 @@ def next_commands(run: FinishedRun, excess: RunExcess | None) -> list[str]:
         commands = [["check", record.dataset, *options]]
     else:
         commands = [] if run.diagnosis else [["diagnose", name]]
-        commands.append(["report", name, "--open"])
+        commands.append(["compare", name, "NEW_RUN"] if is_page else ["report", name, "--open"])
         if excess is None:
             commands.append(["best-case", name])
     return [shlex.join(["fidpipe", *words]) for words in commands]
