@@ -27,6 +27,13 @@ def transform_of(numbers: Sequence[float] | None) -> FloatArray | None:
     return np.array(numbers, dtype=float).reshape(3, 4) if numbers else None
 
 
+def moved(points: FloatArray, T: FloatArray | None) -> FloatArray:
+    """Points after the motion T = [R | t], R p + t, (n, 3); unchanged if T is None."""
+    if T is None:
+        return points
+    return points @ T[:, :3].T + T[:, 3]
+
+
 def sums_by_id(values: NDArray[Any], ids: NDArray[np.integer[Any]], n_ids: int) -> FloatArray:
     """Sum of each column over the rows of each id, (n_ids, columns).
 

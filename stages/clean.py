@@ -7,16 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..schemas.settings import Box, FrameName, InputSettings
-from .arrays import BoolArray, FloatArray, IntArray
+from .arrays import BoolArray, FloatArray, IntArray, moved
 from .thinning import repeats_earlier_row, shares_voxel
 from .trust import find_misses
 
 #: Column and sign of x forward, y left and z up in each frame.
-_AXES: dict[FrameName, tuple[tuple[int, int, int], tuple[float, float, float]]] = {
-    "ros": ((0, 1, 2), (1.0, 1.0, 1.0)),
-    "carla": ((0, 1, 2), (1.0, -1.0, 1.0)),
-    "nuscenes": ((1, 0, 2), (1.0, -1.0, 1.0)),
-    "kitti-cam": ((2, 0, 1), (1.0, -1.0, -1.0)),
+_AXES: dict[FrameName, tuple[list[int], list[float]]] = {
+    "ros": ([0, 1, 2], [1.0, 1.0, 1.0]),
+    "carla": ([0, 1, 2], [1.0, -1.0, 1.0]),
+    "nuscenes": ([1, 0, 2], [1.0, -1.0, 1.0]),
+    "kitti-cam": ([2, 0, 1], [1.0, -1.0, -1.0]),
 }
 
 
@@ -87,9 +87,7 @@ def clean_scan(
     drop("too_near", near)
     drop("too_far", range_m[~near] > settings.max_range_m)
     drop("in_exclude_box", inside(points, settings.exclude_box, default=False))
-    points = as_ros(points, frame)
-    if T_real_sim is not None:
-        points = points @ T_real_sim[:, :3].T + T_real_sim[:, 3]
+    points = moved(as_ros(points, frame), T_real_sim)
     drop("outside_include_box", ~inside(points, settings.include_box))
     if settings.voxel_m is not None:
         drop("thinned", shares_voxel(points, settings.voxel_m))
@@ -113,7 +111,7 @@ def as_ros(points: FloatArray, frame: FrameName) -> FloatArray:
     if frame == "ros":
         return points
     columns, signs = _AXES[frame]
-    return points[:, columns] * np.array(signs)
+    return points[:, columns] * signs
 
 
 def at_sensor(points: FloatArray, side: str, settings: InputSettings) -> FloatArray:
@@ -173,4 +171,6 @@ def inside(points: FloatArray, box: Box | None, *, default: bool = True) -> Bool
     """True for points in the box, bounds included, (n,) bool; without a box, the default for all points."""
     if box is None:
         return np.full(len(points), default)
-    return np.all((points >= box[:3]) & (points <= box[3:]), axis=1)
+    low = box[:3]
+    high = box[3:]
+    return np.all((points >= low) & (points <= high), axis=1)

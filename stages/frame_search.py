@@ -17,7 +17,7 @@ import scipy
 
 from ..schemas.data_files import read_data
 from ..schemas.settings import FRAME_AXES, Box, FrameName, InputSettings
-from .arrays import BoolArray, FloatArray, IndexArray, level_m
+from .arrays import BoolArray, FloatArray, IndexArray, level_m, moved
 from .clean import as_ros, clean_scan, inside
 from .thinning import shares_voxel
 from .trust import is_far_from_origin
@@ -219,7 +219,7 @@ class _Candidate:
 
     def placed(self, points: FloatArray) -> FloatArray:
         """Points of the simulated scan, transformed."""
-        return points @ self.M[:, :3].T + self.M[:, 3]
+        return moved(points, self.M)
 
     def lifted(self, lift_m: float) -> _Candidate:
         """The candidate with the simulated scan higher."""
@@ -229,7 +229,10 @@ class _Candidate:
 
 
 def check_frames(
-    real: FloatArray, sim: FloatArray, settings: InputSettings, T_real_sim: FloatArray | None = None
+    real: FloatArray,
+    sim: FloatArray,
+    settings: InputSettings,
+    T_real_sim: FloatArray | None = None,
 ) -> FrameCheck | None:
     """Compare the coverage of the scans as given with that of the best candidate; None if there are too few points.
 
@@ -267,7 +270,8 @@ def check_frames(
     sources = _sources(sim, reach_ratio, settings)
     if len(target.points) < _MIN_POINTS or not sources:
         return None
-    given = _Candidate(target, sources.get("") or _Side(sim[:0]), motion)
+    metres = sources.get("") or _Side(sim[:0])
+    given = _Candidate(target, metres, motion)
     best = _search(given, sources)
     if "" in sources:
         sizes = _sizes(given, reach_ratio, best.coverage)
@@ -305,7 +309,8 @@ def ground_height(points: FloatArray) -> float:
     steps = np.floor(points[:, 2] / _GROUND_STEP_M).astype(np.int64)
     counts = np.bincount(steps - steps.min())
     width = round(2 * _GROUND_BAND_M / _GROUND_STEP_M)
-    fullest = int(np.convolve(counts, np.ones(width), "full").argmax())  # the last step of the band
+    in_bands = np.convolve(counts, np.ones(width), "full")
+    fullest = int(in_bands.argmax())  # the last step of the band
     return float((steps.min() + fullest + 1) * _GROUND_STEP_M - _GROUND_BAND_M)
 
 
@@ -397,7 +402,8 @@ def _reach_m(points: FloatArray) -> float:
     """Median distance of the points; 0 without any."""
     if not len(points):
         return 0.0
-    return float(np.median(np.hypot(level_m(points), points[:, 2])))
+    distance_m = np.hypot(level_m(points), points[:, 2])
+    return float(np.median(distance_m))
 
 
 def _levelled(start: _Candidate) -> _Candidate | None:
@@ -416,7 +422,8 @@ def _levelled(start: _Candidate) -> _Candidate | None:
         is_near = np.isfinite(apart)
         if is_near.sum() < _MIN_GROUND_POINTS:
             return None
-        step_m = float(np.median(ground[row[is_near], 2] - z[is_ground][is_near]))
+        above_m = ground[row[is_near], 2] - z[is_ground][is_near]
+        step_m = float(np.median(above_m))
     levelled = start.lifted(change_m)
     if abs(step_m) > _MAX_LIFT_LEFT_M or abs(levelled.lift_m) < _MIN_LIFT_M:
         return None
@@ -438,7 +445,7 @@ def _is_nearer(
 
 
 def _setting(candidate: _Candidate, settings: InputSettings, motion: FloatArray) -> str:
-    """Text of the settings that select a candidate."""
+    """Changes of settings and data that select a candidate, as text; "" if there are none."""
     parts = []
     if candidate.unit:
         parts.append(f"simulated points in metres (they are in {candidate.unit})")
@@ -462,12 +469,22 @@ def _setting(candidate: _Candidate, settings: InputSettings, motion: FloatArray)
 
 
 def _frames_and_motion(
-    M: FloatArray, real: FrameName, sim: FrameName, motion: FloatArray
+    M: FloatArray,
+    real: FrameName,
+    sim: FrameName,
+    motion: FloatArray,
 ) -> tuple[FrameName, FrameName, FloatArray]:
-    """Frames of both sides and T_real_sim that place the simulated scan as M does; only frames if possible.
+    """Frames of both sides and T_real_sim that place the simulated scan as a candidate does.
 
-    With p_ros = F p on each side, M F_sim q coincides with F_real p. Other frames F' have the same effect with [R | t']
-    if F'_real F_real^-1 M_R F_sim = R F'_sim, for the present R; the fewest frames are changed.
+    The rotation R of T_real_sim stays if other frames are enough, as few of them as possible. A frame F converts points
+    to p_ros = F p. The candidate places the simulated point q at M F_sim q, next to F_real p of the real scan. Other
+    frames F' with [R | t'] do so, too, if F'_real F_real^-1 M_R F_sim = R F'_sim.
+
+    Parameters
+    ----------
+    M : (3, 4) float64, of the candidate
+    real, sim : present frames
+    motion : (3, 4) float64, present T_real_sim
     """
     R = motion[:, :3]
     sim_axes = M[:, :3] @ _FRAMES[sim]

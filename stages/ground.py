@@ -125,7 +125,7 @@ def _cut(
     settings: GroundSettings,
     shared: GroundResult | None,
 ) -> tuple[BoolArray, float | None, float | None, int | None]:
-    """Ground flags, threshold, its loss, and number of times it was lowered; see `GroundResult`."""
+    """Ground flags by the method of the settings; threshold, its loss, and number of times it was lowered, or None."""
     if settings.method == "none":
         return np.zeros(len(points), dtype=bool), None, None, None
     if settings.method == "patchwork":

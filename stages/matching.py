@@ -134,6 +134,6 @@ def _greedy(real: FloatArray, sim: FloatArray, delta_m: float) -> IndexArray:
 
 
 def _optimal(real: FloatArray, sim: FloatArray, delta_m: float) -> IndexArray:
-    """Ids of the largest number of pairs at the smallest total distance, (m, 2), by real id."""
+    """Real and simulated ids of the most pairs nearer than delta, (m, 2), by real id; see `most_pairs`."""
     distance_m = scipy.spatial.distance.cdist(real, sim)
     return most_pairs(distance_m, distance_m < delta_m, delta_m)

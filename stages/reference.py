@@ -58,7 +58,7 @@ def find_reference_objects(
     points: FloatArray,
     edges: Edges,
     settings: CommunitySettings,
-    annotation: Annotation | None = None,
+    annotation: Annotation,
 ) -> IntArray:
     """Object of each point of the real side, (n,) int32, -1 for none; independent of row order.
 
@@ -75,7 +75,7 @@ def find_reference_objects(
     points : (n, 3) float64, metres, at least one
     edges : edges of their graph
     settings : reference, leave_out, seed, backend, reach_m, min_points
-    annotation : annotation of the same points; required for labels and instances
+    annotation : of the same points, as the reference labels or instances requires it
 
     Raises
     ------
@@ -85,7 +85,6 @@ def find_reference_objects(
     order = visiting_order(points, settings.seed)
     if settings.reference == "louvain":
         return find_communities(len(points), edges, settings, order=order)
-    annotation = annotation or Annotation()
     if getattr(annotation, settings.reference) is None:
         raise StageError(
             f'the real scan has no {settings.reference}, which communities.reference = "{settings.reference}" needs: '
@@ -162,8 +161,10 @@ def visiting_order(points: FloatArray, seed: int) -> IntArray:
     for column in bits.T:
         hashed = murmurhash3_32(column ^ hashed, seed=seed)
     order: IntArray = np.argsort(hashed).astype(np.int32)
-    if np.any(hashed[order[1:]] == hashed[order[:-1]]):
-        order = np.lexsort((*points.T, hashed)).astype(np.int32)
+    hashed_in_order = hashed[order]
+    is_tied = np.isin(hashed_in_order, hashed_in_order[1:][np.diff(hashed_in_order) == 0])
+    tied = order[is_tied]
+    order[is_tied] = tied[np.lexsort((*points[tied].T, hashed[tied]))]
     return order
 
 

@@ -202,23 +202,9 @@ def _describe_beams(
     sensor: SensorDescription, points: FloatArray, pattern: BeamPattern, rounding_m: float
 ) -> tuple[SensorDescription, SurfaceGaps]:
     """The description with all that follows from the beams, and the gaps of lost pulses between the points."""
-    sweep = sweep_of(points, pattern)
-    is_later = later_returns(sweep)
-    returns = returns_text(is_later)
-    if returns:
-        sweep = sweep.first_returns(is_later)
-    step = _azimuth_step(sweep)
-    if several := _not_one_sweep_text(sweep, step, pattern):
-        step = sensor.doubts[ONE_SWEEP] = several
-    else:
-        if returns:
-            sensor.doubts[RETURNS] = returns
-        if thinned := thinned_text(sweep, points):
-            step = sensor.doubts[BEAMS] = thinned
-    estimates: dict[str, Any] = {
-        "azimuth_step_deg": step,
-        "range_quantum_m": _range_quantum(sweep, rounding_m),
-    }
+    sweep, step = _sweep_and_step(sensor.doubts, points, pattern)
+    quantum = _range_quantum(sweep, rounding_m)
+    estimates: dict[str, Any] = {"azimuth_step_deg": step, "range_quantum_m": quantum}
     gaps = NO_GAPS
     if not isinstance(step, str):
         noise = _range_noise(sweep, step)
@@ -252,6 +238,27 @@ def _describe_beams(
         **known,
     )
     return sensor, gaps
+
+
+def _sweep_and_step(
+    doubts: dict[str, str], points: FloatArray, pattern: BeamPattern
+) -> tuple[Sweep, float | str]:
+    """First returns of a scan, and their azimuth step or the reason why it is unknown; adds doubts about both."""
+    sweep = sweep_of(points, pattern)
+    is_later = later_returns(sweep)
+    returns = returns_text(is_later)
+    if returns:
+        sweep = sweep.first_returns(is_later)
+    step = _azimuth_step(sweep)
+    if several := _not_one_sweep_text(sweep, step, pattern):
+        doubts[ONE_SWEEP] = several
+        return sweep, several
+    if returns:
+        doubts[RETURNS] = returns
+    if thinned := thinned_text(sweep, points):
+        doubts[BEAMS] = thinned
+        return sweep, thinned
+    return sweep, step
 
 
 def _not_one_sweep_text(sweep: Sweep, step: float | str, pattern: BeamPattern) -> str | None:

@@ -87,7 +87,7 @@ def fit_planes(
         share = 2 * np.where(is_near, distance_m, 0.0) / reach_m
         weight = is_near * np.exp(-(share**2))
         total = np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
-        neighbours = points[np.where(is_near, ids, 0)]
+        neighbours = points.take(np.where(is_near, ids, 0), axis=0)
         offset = neighbours - place[:, None]
         mean = np.einsum("nk,nkd->nd", weight, offset) / total
         scale = np.sqrt(weight / total)

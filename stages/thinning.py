@@ -22,7 +22,8 @@ def repeats_earlier_row(rows: FloatArray) -> BoolArray:
     order = np.lexsort(rows.T)  # stable, so that of equal rows the first comes first
     in_order = rows[order]
     repeats = np.zeros(len(rows), dtype=bool)
-    repeats[order[1:]] = np.logical_and.reduce(in_order[1:] == in_order[:-1], axis=1)
+    is_equal = in_order[1:] == in_order[:-1]
+    repeats[order[1:]] = is_equal.all(axis=1)
     return repeats
 
 

@@ -360,7 +360,7 @@ def _named_scan(
     path = folder / name
     stub = Path(f"{path}{STUB}")
     try:
-        scan = scan_ref(stub if is_stub(stub) and stub.exists() else path)
+        scan = scan_ref(stub if stub.exists() and is_stub(stub) else path)
         if scan.exists:
             return scan
     except OSError as error:  # a name that no file can have

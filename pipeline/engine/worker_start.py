@@ -17,6 +17,7 @@ _LIBRARIES = (
     "sklearn.linear_model",
     "sknetwork.clustering",
     "fidpipe.pipeline.engine.worker",
+    "fidpipe.stages.causes.estimates",
 )
 
 # Searching what is imported for garbage takes a third of the time, and workers would do it again.

@@ -18,7 +18,7 @@ import numpy as np
 from ...schemas.errors import FidpipeError, ScanError, StageError
 from ...schemas.sensor_models import SensorModel
 from ...schemas.settings import FRAME_AXES, InputSettings
-from ...stages.arrays import FloatArray
+from ...stages.arrays import FloatArray, moved
 from ...stages.clean import clean_scan
 from ...stages.generate.flaws import FLAWS, carried
 from ...stages.generate.ray_casting import fire, require_ray_caster
@@ -186,7 +186,7 @@ def _rescan(task: _Task) -> tuple[FloatArray, FloatArray]:
             except ScanError:  # its own pair fails
                 continue
             motion = T_sensor_world @ square(frame.T_world_sensor or ())
-            voxels = extend_map(voxels, points @ motion[:3, :3].T + motion[:3, 3], intensity)
+            voxels = extend_map(voxels, moved(points, motion[:3]), intensity)
             others.append(points)
         if len(others) < _LEAST_OTHERS:
             raise StageError(

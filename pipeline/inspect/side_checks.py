@@ -13,7 +13,7 @@ import numpy as np
 
 from ...schemas.columns import SIDE_NAMES, SIDES
 from ...schemas.settings import InputSettings
-from ...stages.arrays import FloatArray, transform_of
+from ...stages.arrays import FloatArray, moved, transform_of
 from ...stages.clean import as_ros, at_sensor, clean_scan
 from ...stages.inspect.sequence_checks import (
     MAX_FRAMES_LATE,
@@ -89,8 +89,7 @@ def sample_scan(
         sensor = describe_sensor(points, scan.rings)
     uncut = settings.model_copy(update={"include_box": None, "voxel_m": None})
     clean = clean_scan(scan.points, uncut, frame=settings.frame_of(side)).points
-    T = transform_of(pair.motion(side))
-    placed = clean if T is None else clean @ T[:, :3].T + T[:, 3]
+    placed = moved(clean, transform_of(pair.motion(side)))
     notes = scan.notes
     if scan.times_s is not None and np.isfinite(scan.times_s).all():
         notes = (*notes, f"{np.ptp(scan.times_s):.3g} s from first to last point")

@@ -62,26 +62,26 @@ class StoredFile:
     sha256: str
     mtime_ns: int
 
-    def is_at(self, path: Path) -> bool:
+    def is_at(self, path: Path | str) -> bool:
         """True if the file at a path is as it was written, and not a link; hashed only if length or time differ."""
         status = self._status(path)
         is_same = status is not None and status.st_mtime_ns == self.mtime_ns
         return is_same or self.read(path) is not None
 
-    def read(self, path: Path) -> bytes | None:
+    def read(self, path: Path | str) -> bytes | None:
         """The content as it was written; None if the file is a link, has another content, or cannot be read."""
         if self._status(path) is None:
             return None
         try:
-            content = path.read_bytes()
+            content = Path(path).read_bytes()
         except OSError:
             return None
         return content if hashlib.sha256(content).hexdigest() == self.sha256 else None
 
-    def _status(self, path: Path) -> os.stat_result | None:
+    def _status(self, path: Path | str) -> os.stat_result | None:
         """Of the file at a path, if it has the right length and is not a link."""
         try:
-            status = path.lstat()
+            status = os.lstat(path)
         except OSError:
             return None
         is_like = status.st_size == self.size and stat.S_ISREG(status.st_mode)
