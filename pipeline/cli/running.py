@@ -168,12 +168,7 @@ def run(
     from ...schemas.settings import load
     from ..engine import prefork
 
-    words = list(assignments or [])
-    if seeds is not None:
-        words.append(f"stability.seeds={seeds}")
-    if tasks:
-        words.append("tasks.names=all")
-    in_force = load(settings, words, preset=preset)
+    in_force = load(settings, _all_assignments(assignments, seeds, tasks=tasks), preset=preset)
     dataset, out = dataset_and_run(dataset, sim, out)
     if scheduler is None and workers != 1 and dataset.is_dir() and not out.exists():
         # a new run needs workers as soon as all else is imported
@@ -194,6 +189,16 @@ def run(
         replace=replace,
     )
     print_outcome(outcome_values(outcome) if as_json else outcome_view(outcome), outcome.failures)
+
+
+def _all_assignments(given: list[str] | None, seeds: int | None, *, tasks: bool) -> list[str]:
+    """The assignments of a command, and those that --seeds and --tasks stand for."""
+    assignments = list(given or [])
+    if seeds is not None:
+        assignments.append(f"stability.seeds={seeds}")
+    if tasks:
+        assignments.append("tasks.names=all")
+    return assignments
 
 
 def _known_stage(name: str | None, settings: Settings) -> str | None:
