@@ -17,7 +17,7 @@ MAX_CLOSE_PAIRS = 10**8
 _SLACK = 1e-9  # relative; the tree's distances may differ from ours in the last bits
 _LEAF_SIZE = 32
 _TILE_POINTS = 50_000  # affects the memory, not the result
-_TILE_PAIRS = 2**22
+_TILE_PAIRS = 2**18
 
 
 def graph_of(points: FloatArray, settings: GraphSettings) -> Subgraph:
@@ -112,7 +112,7 @@ def _n_close_pairs(points: FloatArray, near_m: float) -> int:
 def _nearest(
     points: FloatArray, k: int, near_m: float, settings: GraphSettings
 ) -> tuple[IntArray, FloatArray]:
-    """The k nearest neighbours of each point, (n, k), and the distance of the last one as the tree has it, (n,).
+    """The k nearest neighbours of each point, (n, k) ascending, and the distance of the farthest in the tree, (n,).
 
     Raises
     ------
@@ -120,7 +120,7 @@ def _nearest(
         Too many points have all these within `near_m`.
     """
     n = len(points)
-    tree = scipy.spatial.cKDTree(points, leafsize=_LEAF_SIZE)
+    tree = scipy.spatial.cKDTree(points, leafsize=_LEAF_SIZE, balanced_tree=False)
     neighbours = np.empty((n, k), dtype=np.int32)
     farthest_m = np.empty(n)
     is_open = np.empty(n, dtype=bool)
@@ -142,16 +142,19 @@ def _nearest(
         ball = ball[ball != i]
         apart_m = _distance(points, np.full(len(ball), i), ball)
         neighbours[i] = ball[np.lexsort((precedence[ball], apart_m))[:k]]
+    neighbours.sort(axis=1)
     return neighbours, farthest_m
 
 
 def _pairs_of_neighbours(neighbours: IntArray) -> scipy.sparse.csr_matrix:
-    """Pairs of points of which either is a neighbour of the other, (n, n) CSR bool, smaller index in the row."""
-    n = len(neighbours)
-    is_later = neighbours > np.arange(n)[:, None]
-    later = _matrix_of(neighbours, is_later)
-    earlier = _matrix_of(neighbours, ~is_later)
-    return later.T.tocsr().T.tocsr() + earlier.T.tocsr()  # transposing sorts in linear time
+    """Pairs of points of which either is a neighbour of the other, (n, n) CSR bool, smaller index in the row.
+
+    Parameters
+    ----------
+    neighbours : (n, k), ascending in each row
+    """
+    is_later = neighbours > np.arange(len(neighbours))[:, None]
+    return _matrix_of(neighbours, is_later) + _matrix_of(neighbours, ~is_later).T.tocsr()
 
 
 def _matrix_of(neighbours: IntArray, is_chosen: BoolArray) -> scipy.sparse.csr_matrix:
@@ -199,7 +202,7 @@ def _distance(points: FloatArray, src: NDArray[np.integer], dst: NDArray[np.inte
     squared = np.zeros(len(src))
     for axis in points.T:
         along = np.ascontiguousarray(axis)
-        step = along[src] - along[dst]
+        step = along.take(src) - along.take(dst)
         step *= step
         squared += step
     return np.sqrt(squared, out=squared)

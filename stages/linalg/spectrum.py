@@ -46,8 +46,7 @@ def spectral_norm(symmetric: scipy.sparse.csr_matrix) -> float:
         return 0.0
     if symmetric.shape[0] > _DENSE_NORM_NODES:
         exponent = np.frexp(abs(symmetric.data).max())[1]
-        scaled = symmetric.copy()
-        scaled.data = np.ldexp(scaled.data, -exponent)
+        scaled = symmetric * np.ldexp(1.0, -exponent)
         start = np.random.default_rng(0).standard_normal(symmetric.shape[0])
         try:
             values = scipy.sparse.linalg.eigsh(scaled, 1, v0=start, return_eigenvectors=False)
