@@ -376,7 +376,11 @@ def estimated(scans):
 
 
 def values_of(pairs):
-    return cause_values([pair.estimates.amounts for pair in pairs])
+    rows = []
+    for pair in pairs:
+        amounts = pair.estimates.amounts
+        rows.append([{"cause": name} | vars(amount) for name, amount in amounts.items()])
+    return cause_values(rows)
 
 
 def diagnose(pairs):

@@ -71,8 +71,9 @@ from fidpipe.pipeline.jobs.scoring import PARTITION, ground_table, score_pair
 from fidpipe.schemas.settings import load
 from fidpipe.stages.arrays import FloatArray
 from fidpipe.stages.baselines import compare_points
+from fidpipe.stages.clean import clean_scan
 from fidpipe.stages.coverage import nearest_distances
-from fidpipe.stages.ground import GroundResult, remove_road
+from fidpipe.stages.ground import GroundResult, remove_ground
 from fidpipe.stages.odometry import compare_trajectories, trajectory
 from fidpipe.stages.pieces import CutScan
 from fidpipe.stages.tasks import (
@@ -266,12 +267,9 @@ class Side:
 
 def prepare(points, real=None):
     """The real side, or the simulated one of a real side."""
-    if real is None:
-        clean, cut = remove_road(points, SETTINGS, "real")
-    else:
-        clean, cut = remove_road(
-            points, SETTINGS, "sim", real_cut=real.cut, real_points=real.scan.points
-        )
+    clean = clean_scan(points, SETTINGS.input)
+    real_side = (real.cut, real.scan.points) if real else ()
+    cut = remove_ground(clean.points, SETTINGS.ground, *real_side)
     side = "real" if real is None else "sim"
     points = clean.points[~cut.is_ground]
     tables = {("ground", side): ground_table(points)}

@@ -25,9 +25,10 @@ from flawed_scans import ALL, Scan, find_car, find_poles, ray_noise
 from fidpipe.pipeline.datasets.readers import frames_of, read_scan
 from fidpipe.pipeline.diagnose.tell_apart import compare_samples, draw_sample, features_of
 from fidpipe.schemas.settings import load
+from fidpipe.stages.clean import clean_scan
 from fidpipe.stages.coverage import cover, nearest_distances
 from fidpipe.stages.diagnose import tell_apart as classifier
-from fidpipe.stages.ground import remove_road
+from fidpipe.stages.ground import remove_ground
 from fidpipe.stages.pieces import CutScan, find_pieces
 from fidpipe.stages.rays import find_rays, score_rays
 from fidpipe.stages.sensor_description import describe_sensor
@@ -45,8 +46,8 @@ MILD = {
 
 
 def cleaned(points):
-    clean, cut = remove_road(points, SETTINGS, "real")
-    return clean.points, cut
+    points = clean_scan(points, SETTINGS.input).points
+    return points, remove_ground(points, SETTINGS.ground)
 
 
 def ground_of(cloud):

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 #: Names of folders of scans that do not tell which build they are of.
 _PLAIN_NAME = re.compile(
-    r"(sim|scans?|lidar|velodyne|points?|clouds?|pcd|ply|bin|npy|frames?|sweeps?|out|output|data|_|-)+",
+    r"(sim|scans?|lidar|velodyne|points?|clouds?|pcd|ply|bin|npy"
+    r"|frames?|sweeps?|out|output|data|_|-)+",
     re.IGNORECASE,
 )
 
@@ -139,7 +140,8 @@ def runs_of(
         real, *sims = folders
         if len(sims) < 2:
             raise RunError(
-                f"{real}: holds real scans; expected the simulated folders of two or more builds after it"
+                f"{real}: holds real scans; expected the simulated folders of two or more builds "
+                "after it"
             )
         outs = side_run_folders(sims)
         datasets = [_paired(real, sim, out) for sim, out in zip(sims, outs, strict=True)]

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from .datasets.pairs import local_folder
-from .results.finished import FinishedRun, pair_object, pair_values
+from .results.finished import FinishedRun
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,14 +27,6 @@ class Run(FinishedRun):
     >>> run.table("coverage")  # as Arrow  # doctest: +SKIP
     >>> run.plot_object("0003", 7).savefig("object.png")  # doctest: +SKIP
     """
-
-    def pair(self, pair_id: str) -> dict[str, Any]:
-        """A pair as `fidpipe show RUN PAIR --json` prints it: `pair`, `objects` (worst first) and `rays`."""
-        return pair_values(self, pair_id)
-
-    def object(self, pair_id: str, name: str | int) -> dict[str, Any]:
-        """The rows of an object on both sides, `real` and `sim`: 7 or "real:7" is the real object 7, or "sim:7"."""
-        return pair_object(self, pair_id, str(name))
 
     def plot_object(self, pair_id: str, name: str | int, ax: Axes | None = None) -> Figure:
         """Plot an object on both sides in one box, with its scores; other points in the box are grey.

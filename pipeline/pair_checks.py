@@ -61,9 +61,8 @@ def pair_warnings(
     """
     name = f"pair {pair.pair_id}"
     warnings = []
-    for side in SIDES:
-        if side in sides:
-            warnings += [f"{name}: {pair.scans[side]}: {text}" for text in sides[side].warnings]
+    for side, inspection in sides.items():
+        warnings += [f"{name}: {pair.scans[side]}: {text}" for text in inspection.warnings]
     if len(sides) == len(SIDES):
         gaps = sorted((inspection.azimuth_gap_deg, side) for side, inspection in sides.items())
         (narrow_deg, narrow), (wide_deg, wide) = gaps
@@ -111,8 +110,8 @@ def shared_files(hashes: Mapping[str, Mapping[str, str]]) -> list[str]:
     """
     places: dict[str, list[str]] = {}
     for pair_id, sides in hashes.items():
-        for side, content in sides.items():
-            if content:
+        for side in SIDES:
+            if content := sides.get(side):
                 places.setdefault(content, []).append(f"{pair_id} ({side})")
     lines = []
     for names in places.values():
@@ -136,7 +135,7 @@ def swapped_sides(pairs: Iterable[ScanPair], folder: Path) -> list[str]:
         files = {side: Path(os.path.realpath(scan.file)) for side, scan in pair.scans.items()}
         if len(files) < len(SIDES) or pair.real == pair.sim:
             continue
-        for side, other in (("real", "sim"), ("sim", "real")):
+        for side, other in (SIDES, SIDES[::-1]):
             if files[side].is_relative_to(root):
                 names = set(files[side].relative_to(root).parts)
             else:

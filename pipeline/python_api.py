@@ -78,7 +78,7 @@ def compare(
     runs = runs_of(paths, _settings(preset, settings), Reporter(), Machines(workers))
     if len(runs) != 2:
         raise RunError(f"expected two runs to compare, got {len(runs)}")
-    (comparison,) = compare_runs(runs, independent=independent, reporter=Reporter())
+    (comparison,) = compare_runs(runs, independent=independent)
     return comparison
 
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
-from time import perf_counter
 
 import pyarrow as pa
 
@@ -49,11 +48,12 @@ from .run_tables import (
     extra_entries,
     few_of_each,
     pair_rows,
+    parts_of_table,
     records_of,
     timing_rows,
     write_table,
 )
-from .stage import OF_PAIR, Stage
+from .stage import OF_PAIR, Stage, Steps
 from .storage.files import key_of
 from .storage.folder import RunFolder, check_folder, refuse_overwrite
 from .storage.run_record import (
@@ -161,9 +161,8 @@ def select_pairs(dataset: Dataset, pattern: str | None) -> tuple[ScanPair, ...]:
     selected = tuple(pair for pair in dataset.pairs if fnmatchcase(pair.pair_id, pattern))
     if not selected:
         names = ", ".join(pair.pair_id for pair in dataset.pairs[:5])
-        n_pairs = len(dataset.pairs)
         raise DatasetError(
-            f"--pairs {pattern!r} matches none of the {n_pairs} pairs ({names} ...)",
+            f"--pairs {pattern!r} matches none of the {len(dataset.pairs)} pairs ({names} ...)",
         )
     return selected
 
@@ -217,37 +216,41 @@ class Run:
         self.notes: defaultdict[str, list[str]] = defaultdict(list)
         self.suspects: dict[str, FrameSuspect] = {}
         self._warnings: dict[str, list[str]] = {}
+        self._phases = Steps()
         self.n_workers = 0
         self._jobs = plan_jobs(self.stages, self.settings)
         self._versions = {stage.name: stage.version for stage in self.stages}
         self._times_s = {pair.pair_id: pair.timestamp_s for pair in self.dataset.pairs}
-        self._wall_s: dict[str, float] = {}
-        self._start = self._phase_start = perf_counter()
 
     @property
-    def title(self) -> str:
-        """The run in messages."""
-        return f"run {self.folder.folder}"
+    def wall_s(self) -> dict[str, float]:
+        """Seconds of each phase, and their total."""
+        phases = dict(self._phases.total())
+        return phases | {"total": sum(phases.values())}
 
     def survey_results(self, from_stage: str | None = None, *, replace: bool = False) -> None:
         """Find out what there is to do; the parameters are those of `run_dataset`."""
-        self._hash_files()
-        self._survey_results(from_stage)
+        with self._phases("inspect"):
+            self._hash_files()
+            self._survey_results(from_stage)
         if not (replace or from_stage):
             self._refuse_replacing()
 
     @contextmanager
     def schedule(self, machines: Machines) -> Iterator[Schedule]:
         """Context with the jobs to do, for which workers run; stale results are removed first."""
-        with started_schedule(
-            self.todo,
-            self.n_todo,
-            self._plan,
-            self.collector,
-            self.stages,
-            self.settings,
-            machines,
-        ) as schedule:
+        with (
+            self._phases("stages"),
+            started_schedule(
+                self.todo,
+                self.n_todo,
+                self._plan,
+                self.collector,
+                self.stages,
+                self.settings,
+                machines,
+            ) as schedule,
+        ):
             if self.todo or self.stale:
                 self._write_record(self._header())
                 changes = what_changed(self.before, self.settings, self.stages)
@@ -270,7 +273,6 @@ class Run:
             contents = self.contents.get(pair.pair_id)
             if contents is not None:
                 self.hashes[pair.pair_id] = input_hashes(pair, self.dataset.label_names, contents)
-        self._end_phase("inspect")
 
     def _survey_results(self, from_stage: str | None) -> None:
         """Find pairs with jobs to do, and results that are stale.
@@ -316,7 +318,7 @@ class Run:
             stages = [stage for stage in self.stages if stage.name in names]
             why = what_changed(self.before, self.settings, stages)
             if why:
-                refuse_overwrite(self.title, jobs_in_words(lost), why)
+                refuse_overwrite(f"run {self.folder.folder}", jobs_in_words(lost), why)
 
     def _plan(self, pair: ScanPair) -> PairPlan:
         """The jobs of a pair under the current settings."""
@@ -325,8 +327,8 @@ class Run:
 
     def write(self) -> RunOutcome:
         """Write the tables of the whole run and its record."""
-        self._end_phase("stages")
-        self._summarise_jobs()
+        with self._phases("tables"):
+            self._summarise_jobs()
         failures = self.past_failures | self.collector.failures
         job_keys = sorted(self.keys.items())
         key = key_of(library_versions(["fidpipe"]), job_keys, failures, self._times_s)
@@ -336,21 +338,27 @@ class Run:
         if not is_same:
             self._write_record(header)
         pair_ids = {pair.pair_id for pair in self.usable}
-        rows_of = partial(pair_rows, self.folder, self._jobs, failures)
-        pairs = write_table(self.folder, "pairs", key, pair_ids | failures.keys(), rows_of)
         # where nothing was made, all rows are reused
         made_by = self.folder.token if self.collector.n_made else ""
         timings_key = key_of(key, list(self._versions), made_by)
-        rows_of = partial(timing_rows, self.folder, self.stages)
-        write_table(self.folder, "timings", timings_key, pair_ids, rows_of)
-        self._end_phase("tables")
-        self._wall_s["total"] = perf_counter() - self._start
+        rows_of = partial(pair_rows, self.folder, self._jobs, failures)
+        timings_of = partial(timing_rows, self.folder, self.stages)
+        with self._phases("tables"):
+            parts = parts_of_table("pairs", pair_ids | failures.keys(), rows_of)
+            pairs = write_table(self.folder, "pairs", key, parts)
+            parts = parts_of_table("timings", pair_ids, timings_of)
+            write_table(self.folder, "timings", timings_key, parts)
         record = self._record(header, pairs, last_results(self.before) if is_same else None)
         self._write_record(record)
         n_made = self.collector.n_made
-        n_reused = self.n_jobs - n_made
-        reported = self.collector.failures
-        return RunOutcome(self.folder.folder, pairs, record, n_made, n_reused, reported)
+        return RunOutcome(
+            folder=self.folder.folder,
+            pairs=pairs,
+            record=record,
+            n_made=n_made,
+            n_reused=self.n_jobs - n_made,
+            reported=self.collector.failures,
+        )
 
     def _record(self, header: RunHeader, pairs: pa.Table, last: RunRecord | None) -> RunRecord:
         """The record of a run that has ended.
@@ -379,7 +387,7 @@ class Run:
         record = RunRecord(
             **dict(header),
             workers=self.n_workers,
-            wall_s=self._wall_s,
+            wall_s=self.wall_s,
             pairs=PairCounts(
                 scored=len(scored),
                 failed=len(pairs) - len(scored),
@@ -432,8 +440,3 @@ class Run:
     def _write_record(self, record: RunHeader) -> None:
         """Write the settings and the record, or its header."""
         write_record(self.folder, self.settings, record.as_dict())
-
-    def _end_phase(self, name: str) -> None:
-        now = perf_counter()
-        self._wall_s[name] = now - self._phase_start
-        self._phase_start = now

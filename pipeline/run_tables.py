@@ -84,30 +84,28 @@ def timing_rows(folder: RunFolder, stages: Sequence[Stage], pair_id: str) -> lis
     return rows
 
 
-def write_table(
-    folder: RunFolder,
-    name: str,
-    key: str,
-    pair_ids: Iterable[str],
-    rows_of: Callable[[str], list[Row]],
-) -> pa.Table:
-    """Write a table of the whole run, unless it exists under its key, and return it.
+def parts_of_table(
+    name: str, pair_ids: Iterable[str], rows_of: Callable[[str], list[Row]]
+) -> Iterator[pa.Table]:
+    """A table of the whole run in parts of some pairs each.
 
     Parameters
     ----------
     rows_of : returns the rows of a pair
     """
-    file = f"{name}.parquet"
+    names = sorted(pair_ids)
+    for i in range(0, len(names), _PAIRS_AT_ONCE):
+        group = names[i : i + _PAIRS_AT_ONCE]
+        yield TABLES[name].from_rows(chain.from_iterable(map(rows_of, group)))
+
+
+def write_table(
+    folder: RunFolder, name: str, key: str, rows: pa.Table | Iterable[pa.Table]
+) -> pa.Table:
+    """Write a table of the whole run, or its parts, unless it exists under its key, and return it."""
     record = folder.ledger.jobs("").get((name, ""))
     if record is None or record.key != key or folder.damaged_files(record):
-        names = sorted(pair_ids)
-        groups = [names[i : i + _PAIRS_AT_ONCE] for i in range(0, len(names), _PAIRS_AT_ONCE)]
-        parts = (
-            TABLES[name].from_rows(chain.from_iterable(map(rows_of, group))) for group in groups
-        )
-        stored = folder.write_at(folder.folder / file, name, parts, key)
-        record = JobRecord(name, "", "", key, {file: stored})
-        folder.ledger.put_job(record)
+        folder.write_table(name, rows, key)
     return folder.read_table(name)
 
 

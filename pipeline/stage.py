@@ -66,7 +66,7 @@ class Stage:
     takes : names of tables; `SCAN` for the input file. A table comes with the metadata of its job
     gives : names of tables
     settings : the groups of settings that it reads
-    grain : scope of one job
+    grain : scope of one job, by default the pair
     version : of its code, raised by hand whenever its results change
     make : the job
     libraries : libraries that it may call in addition to numpy and scipy; their versions are in its
@@ -84,7 +84,7 @@ class Stage:
     takes: tuple[str, ...]
     gives: tuple[str, ...]
     settings: tuple[str, ...] = ()
-    grain: Grain
+    grain: Grain = Grain.PAIR
     version: int = 1
     make: Callable[[Inputs], JobResult]
     libraries: tuple[str, ...] = ()
@@ -193,17 +193,16 @@ class Inputs:
         """Metadata of the job that made a table; `KeyError` for a table or side that is not declared."""
         return self.outputs[name, side]
 
-    def rows(self, name: str, rows: Iterable[Row]) -> pa.Table:
-        """A table of the pair, or of the side, from its rows without these; sorted by its keys."""
-        return TABLES[name].from_rows(self._of_file | row for row in rows)
+    def rows(self, name: str, rows: Iterable[Row]) -> Tables:
+        """One table, by its name: its rows without pair and side, sorted by its keys."""
+        return {name: TABLES[name].from_rows(self._of_file | row for row in rows)}
 
-    def columns(self, name: str, *parts: Row) -> pa.Table:
-        """A table of the pair, or of the side, from the columns of its parts without these, in their order."""
+    def columns(self, name: str, *parts: Row) -> Tables:
+        """One table, by its name, of parts in their order: columns without pair and side."""
         table = TABLES[name]
         built = [table.build(self._of_file | part) for part in parts]
-        if len(built) == 1:
-            return built[0]
-        return pa.concat_tables([table.schema.empty_table(), *built]).combine_chunks()
+        joined = pa.concat_tables(built or [table.schema.empty_table()])
+        return {name: joined.combine_chunks()}
 
     @property
     def _of_file(self) -> Row:

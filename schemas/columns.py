@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import islice
 from typing import Any
 
 import pyarrow as pa
@@ -17,7 +16,6 @@ SIDE_NAMES = {"real": "real", "sim": "simulated"}
 FARTHEST_M = 1e9
 #: A row of a table by column; the schema of the table has names and types.
 Row = dict[str, Any]
-_CHUNK_ROWS = 5000
 
 
 @dataclass(frozen=True)
@@ -39,10 +37,10 @@ class Table:
         Raises
         ------
         ValueError
-            A column is missing, surplus, of another type, or has a null that the schema forbids.
+            A column is missing, surplus, of another type, or has or allows a null that the schema
+            forbids.
         """
-        same_names = table.schema.names == self.schema.names
-        if not (same_names and table.schema.types == self.schema.types):
+        if table.schema != self.schema:
             expected, got = _names_and_types(self.schema), _names_and_types(table.schema)
             raise ValueError(f"table {self.name}: expected columns {expected}, got {got}")
         for name in self._without_nulls:
@@ -60,13 +58,12 @@ class Table:
     def _fields(self) -> list[pa.Field]:
         return list(self.schema)
 
-    def build(self, columns: Mapping[str, Any], n_rows: int | None = None) -> pa.Table:
-        """Build a checked table from arrays; a single string, number or None fills its column for `n_rows` rows.
+    def build(self, columns: Mapping[str, Any]) -> pa.Table:
+        """Build a checked table from arrays; a single string, number or None fills its column.
 
         Absent columns are null, and so is NaN where the schema allows it.
         """
-        if n_rows is None:
-            n_rows = next(len(value) for value in columns.values() if _is_column(value))
+        n_rows = next(len(value) for value in columns.values() if _is_column(value))
         arrays = []
         for field in self._fields:
             value = columns.get(field.name)
@@ -78,12 +75,10 @@ class Table:
 
     def from_rows(self, rows: Iterable[Row]) -> pa.Table:
         """Build a checked table from dictionaries, sorted by the table's keys (nulls last); absent values are null."""
-        remaining = iter(rows)
-        chunks = [self.schema.empty_table()]
-        while part := list(islice(remaining, _CHUNK_ROWS)):  # dictionaries need much memory
-            chunks.append(pa.Table.from_pylist(part, schema=self.schema))
-        table = pa.concat_tables(chunks)
-        return self.check(table.sort_by([(key, "ascending") for key in self.keys]))
+        table = pa.Table.from_pylist(list(rows), schema=self.schema)
+        if len(table) > 1:
+            table = table.sort_by([(key, "ascending") for key in self.keys])
+        return self.check(table)
 
 
 def _names_and_types(schema: pa.Schema) -> str:

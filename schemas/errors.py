@@ -6,19 +6,15 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 
 _MOST = 15
-_FEW = 5
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """End of a message about an unknown name: the most similar known name, else all, of many the five nearest."""
+    """End of a message about an unknown name: the known name that it resembles, else the nearest ones."""
     known = list(known)
     near = nearest(name, known)
     if near:
         return f"did you mean {near}?"
-    if len(known) <= _MOST:
-        return f"known are {', '.join(known)}"
-    few = get_close_matches(name.lower(), known, _FEW, 0.0)
-    return f"known are {', '.join(few)} and {len(known) - len(few)} more"
+    return f"the nearest are {', '.join(get_close_matches(name.lower(), known, _MOST, 0.0))}"
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-from pydantic import BeforeValidator, ConfigDict, Field, PlainSerializer
+from pydantic import ConfigDict, Field
 
 from .results import Findings, JsonObject, Overview, Result, ScoreSummary
 
@@ -132,8 +130,7 @@ class RunRecord(RunHeader):
     workers : of the last command; 0 where there was nothing to do
     wall_s : seconds of the last command by phase
     summary : by column of `pairs`; `cdc_unmatched_worst_mean` and the like: with unmatched objects counted as worst
-    findings : None ({} in JSON) where no pair is scored
-    overview : None if no pair is scored
+    findings, overview : None if no pair is scored
     inputs : by pair, content hash by side, and `content` of all that the pair's numbers come from
     times_s : by pair, the time of its real scan where the dataset has one
     frames : by pair, those whose simulated scan seems to lie in another frame, or shows another place
@@ -147,11 +144,7 @@ class RunRecord(RunHeader):
     wall_s: dict[str, float]
     pairs: PairCounts
     summary: dict[str, ScoreSummary]
-    findings: Annotated[
-        Findings | None,
-        BeforeValidator(lambda value: value or None),
-        PlainSerializer(lambda found: {} if found is None else found.as_dict()),
-    ]
+    findings: Findings | None
     inputs: dict[str, dict[str, str]]
     overview: Overview | None = None
     times_s: dict[str, float] = Field(default_factory=dict)

@@ -1,13 +1,10 @@
 """Results of a run as typed values: summaries of scores, findings over all objects, the overview; see also `record`.
 
 Contracts like the tables: the field names are the keys of the JSON, in that order. `as_dict` gives plain values for
-JSON, `from_dict` reads them again.
+JSON, `model_validate` reads them again.
 """
 
 from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import Self
 
 from pydantic import BaseModel, ConfigDict, JsonValue
 
@@ -24,17 +21,6 @@ class Result(BaseModel):
     def as_dict(self) -> JsonObject:
         """Plain values, for JSON; fields that were never given are left out."""
         return self.model_dump(mode="json", exclude_unset=True)
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, object]) -> Self:
-        """The value again.
-
-        Raises
-        ------
-        ValueError
-            A key is missing or unknown, or a value is of another type: another version of fidpipe wrote it.
-        """
-        return cls.model_validate(values)
 
 
 class ScoreSummary(Result):
@@ -153,7 +139,7 @@ class Piece(Result):
 class Caution(Result):
     """A limit to the trust in the numbers.
 
-    kind : to_do, frames, ground, pairs, independence, partition, alignment, or best_case (unknown)
+    kind : to_do, frames, ground, pairs, independence, partition, or alignment
     words : one sentence
     """
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
@@ -60,8 +60,8 @@ def _split_words(value: Any) -> Any:
     return value.replace(",", " ").split() if isinstance(value, str) else value
 
 
-def _numbers(count: int) -> Callable[[Any], Any]:
-    """A function that splits a text into words, of which there must be so many."""
+def _numbers(count: int, kind: Any) -> BeforeValidator:
+    """Numbers are read from `1,2,3` or a list, which must have so many; of such a kind in the schema."""
 
     def split(value: Any) -> Any:
         words = _split_words(value)
@@ -69,7 +69,20 @@ def _numbers(count: int) -> Callable[[Any], Any]:
             raise ValueError(f"expected {count} numbers, got {value!r}")
         return words
 
-    return split
+    return BeforeValidator(split, json_schema_input_type=kind | str)
+
+
+def _choice(known: tuple[str, ...]) -> BeforeValidator:
+    """Names of a list, each once and in its order, are read from `all`, `chamfer,emd` or a list of them."""
+
+    def chosen(value: Any) -> tuple[str, ...]:
+        names = known if value == "all" else _split_words(value)
+        if not isinstance(names, list | tuple) or any(name not in known for name in names):
+            raise ValueError(f"expected any of {', '.join(known)}")
+        return tuple(name for name in known if name in names)
+
+    names = tuple[Literal[known], ...]  # type: ignore[valid-type]
+    return BeforeValidator(chosen, json_schema_input_type=names | str)
 
 
 def _check_columns(value: tuple[str, ...]) -> tuple[str, ...]:
@@ -88,14 +101,9 @@ _Columns = Annotated[
     Annotated[tuple[str, ...], AfterValidator(_check_columns)] | None,
     BeforeValidator(_split_words, json_schema_input_type=tuple[str, ...] | str),
 ]
-_Box = Annotated[
-    Annotated[Box, AfterValidator(_check_box)] | None,
-    BeforeValidator(_numbers(6), json_schema_input_type=Box | str),
-]
-_Position = Annotated[
-    tuple[float, float, float] | None,
-    BeforeValidator(_numbers(3), json_schema_input_type=tuple[float, float, float] | str),
-]
+_Box = Annotated[Annotated[Box, AfterValidator(_check_box)] | None, _numbers(6, Box)]
+_Point = tuple[float, float, float]
+_Position = Annotated[_Point | None, _numbers(3, _Point)]
 
 
 class InputSettings(_Group):
@@ -266,8 +274,7 @@ class PieceSettings(_Group):
 
 
 #: Tasks of a perception stack that both scans can be given to.
-TaskName = Literal["objects", "ground", "occupancy", "free_space"]
-TASK_NAMES: tuple[TaskName, ...] = get_args(TaskName)
+TASK_NAMES = ("objects", "ground", "occupancy", "free_space")
 
 
 class SelectionSettings(_Group):
@@ -282,27 +289,6 @@ class SelectionSettings(_Group):
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
-    # A type checker cannot know the names.
-    BaselineNames = tuple[str, ...]
-    TaskNames = tuple[TaskName, ...]
-else:
-
-    def _names_of(known: tuple[str, ...]) -> Any:
-        """Names of a list, each once and in its order: `all`, `chamfer,emd` or a list of them."""
-        name = Literal[known]
-        names = tuple[name, ...]
-        return Annotated[
-            names,
-            BeforeValidator(
-                lambda value: known if value == "all" else _split_words(value),
-                json_schema_input_type=names | str,
-            ),
-            AfterValidator(lambda value: tuple(name for name in known if name in value)),
-        ]
-
-    BaselineNames = _names_of(BASELINE_NAMES)
-    TaskNames = _names_of(TASK_NAMES)
-
 
 class MetricsSettings(_Group):
     """Baseline metrics to compute in addition to the scores, and their parameters.
@@ -315,7 +301,7 @@ class MetricsSettings(_Group):
     histogram_order : histogram: order of the Minkowski distance
     """
 
-    baselines: BaselineNames = Field(
+    baselines: Annotated[tuple[str, ...], _choice(BASELINE_NAMES)] = Field(
         (),
         description=f'any of {", ".join(BASELINE_NAMES)}; "all" for all of them; by default none',
     )
@@ -347,7 +333,7 @@ class TaskSettings(_Group):
     cell_m : occupancy: width of the cells
     """
 
-    names: TaskNames = Field(
+    names: Annotated[tuple[str, ...], _choice(TASK_NAMES)] = Field(
         (),
         description=f'any of {", ".join(TASK_NAMES)}; "all" for all of them; by default none',
     )

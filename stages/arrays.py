@@ -27,6 +27,13 @@ def transform_of(numbers: Sequence[float] | None) -> FloatArray | None:
     return np.array(numbers, dtype=float).reshape(3, 4) if numbers else None
 
 
+def moved(points: FloatArray, T: FloatArray | None) -> FloatArray:
+    """Points after the motion T = [R | t], R p + t, (n, 3); unchanged if T is None."""
+    if T is None:
+        return points
+    return points @ T[:, :3].T + T[:, 3]
+
+
 def sums_by_id(values: NDArray[Any], ids: NDArray[np.integer[Any]], n_ids: int) -> FloatArray:
     """Sum of each column over the rows of each id, (n_ids, columns).
 
@@ -54,6 +61,16 @@ def rows_by_id(ids: NDArray[np.integer[Any]], n_ids: int = 0) -> list[IndexArray
     order = np.argsort(ids, kind="stable")
     n_ids = max(n_ids, int(ids.max(initial=-1)) + 1)
     return np.split(order, np.searchsorted(ids[order], np.arange(n_ids)))[1:]
+
+
+def sorted_rows(*keys: NDArray[Any]) -> IndexArray:
+    """(n,) rows in the order of the first key, (n,), then of the next, then as they are: a faster `np.lexsort`."""
+    rank = keys[0]
+    for key in (*keys[1:], np.arange(len(rank))):
+        _, upper = np.unique(rank, return_inverse=True)
+        _, lower = np.unique(key, return_inverse=True)
+        rank = upper * len(key) + lower
+    return np.argsort(rank)
 
 
 def azimuths_deg(points: FloatArray) -> FloatArray:

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..schemas.settings import Box, FrameName, InputSettings
-from .arrays import BoolArray, FloatArray, IntArray
+from .arrays import BoolArray, FloatArray, IntArray, moved
 from .thinning import repeats_earlier_row, shares_voxel
 from .trust import find_misses
 
 #: Column and sign of x forward, y left and z up in each frame.
-_AXES: dict[FrameName, tuple[tuple[int, int, int], tuple[float, float, float]]] = {
-    "ros": ((0, 1, 2), (1.0, 1.0, 1.0)),
-    "carla": ((0, 1, 2), (1.0, -1.0, 1.0)),
-    "nuscenes": ((1, 0, 2), (1.0, -1.0, 1.0)),
-    "kitti-cam": ((2, 0, 1), (1.0, -1.0, -1.0)),
+_AXES: dict[FrameName, tuple[list[int], list[float]]] = {
+    "ros": ([0, 1, 2], [1.0, 1.0, 1.0]),
+    "carla": ([0, 1, 2], [1.0, -1.0, 1.0]),
+    "nuscenes": ([1, 0, 2], [1.0, -1.0, 1.0]),
+    "kitti-cam": ([2, 0, 1], [1.0, -1.0, -1.0]),
 }
 
 
@@ -75,22 +74,20 @@ def clean_scan(
             ids = ids[~is_dropped]
             points = points[~is_dropped]
 
-    drop("not_finite", ~_all(np.isfinite(points)))
-    drop("zero", _all(points == 0))
+    drop("not_finite", ~np.all(np.isfinite(points), axis=1))
+    drop("zero", ~np.any(points, axis=1))
     drop("duplicate", repeats_earlier_row(points))
     with np.errstate(over="ignore"):  # an infinite range is too far
         range_m = np.sqrt((points**2).sum(axis=1))
-    misses = find_misses(range_m)
-    is_no_return = range_m > (misses[-1].limit_m if misses else np.inf)
+    limit_m, _ = find_misses(range_m)
+    is_no_return = range_m > limit_m
     drop("no_return", is_no_return)
     range_m = range_m[~is_no_return]
     near = range_m < settings.min_range_m
     drop("too_near", near)
     drop("too_far", range_m[~near] > settings.max_range_m)
     drop("in_exclude_box", inside(points, settings.exclude_box, default=False))
-    points = as_ros(points, frame)
-    if T_real_sim is not None:
-        points = points @ T_real_sim[:, :3].T + T_real_sim[:, 3]
+    points = moved(as_ros(points, frame), T_real_sim)
     drop("outside_include_box", ~inside(points, settings.include_box))
     if settings.voxel_m is not None:
         drop("thinned", shares_voxel(points, settings.voxel_m))
@@ -114,7 +111,7 @@ def as_ros(points: FloatArray, frame: FrameName) -> FloatArray:
     if frame == "ros":
         return points
     columns, signs = _AXES[frame]
-    return points[:, columns] * np.array(signs)
+    return points[:, columns] * signs
 
 
 def at_sensor(points: FloatArray, side: str, settings: InputSettings) -> FloatArray:
@@ -129,12 +126,12 @@ def seen_from(
     position: tuple[float, float, float],
     T_real_sim: FloatArray | None,
 ) -> FloatArray | None:
-    """T_real_sim of points whose origin has moved to a position of both sides.
+    """T_real_sim between points relative to the sensor, if it is at the same position among the points of both sides.
 
     Parameters
     ----------
-    position : x y z, metres
-    T_real_sim : (3, 4) float64 of the points as they were; None for the identity
+    position : x y z of the sensor among the points as recorded, metres
+    T_real_sim : (3, 4) float64, between the points as recorded; None for the identity
     """
     if T_real_sim is None:
         return None
@@ -143,20 +140,17 @@ def seen_from(
     return np.column_stack([R, t - position + R @ position])
 
 
-def too_few_left(
-    n_left: int,
-    n_fewest: int,
-    dropped: Mapping[str, int],
-    settings: InputSettings,
-) -> str:
+def too_few_left(clean: CleanResult, n_fewest: int, settings: InputSettings) -> str:
     """Message for a scan with too few points after cleaning: counts by reason, and how to keep more.
 
     Examples
     --------
-    >>> too_few_left(5, 8, {"too_near": 9, "too_far": 2}, InputSettings())
-    'expected at least 8 points after cleaning, got 5 (9 too near, 2 too far); lower input.min_range_m (now 2.5)'
+    >>> settings = InputSettings()
+    >>> clean = clean_scan(np.array([[9.0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 0, 999]]), settings)
+    >>> too_few_left(clean, 8, settings)
+    'expected at least 8 points after cleaning, got 1 (2 too near, 1 too far); lower input.min_range_m (now 2.5)'
     """
-    counts = {reason: n for reason, n in dropped.items() if n}
+    counts = {reason: n for reason, n in clean.dropped.items() if n}
     reasons = [f"{n} {reason.replace('_', ' ')}" for reason, n in counts.items()]
     why = ", ".join(reasons) or "no more in the file"
     remedies = {
@@ -170,16 +164,13 @@ def too_few_left(
         remedies["too_far"] += f", or raise input.max_range_m (now {settings.max_range_m:g})"
     worst = max(counts, key=counts.__getitem__, default="")
     remedy = remedies.get(worst, "check that the export is complete")
-    return f"expected at least {n_fewest} points after cleaning, got {n_left} ({why}); {remedy}"
+    return f"expected at least {n_fewest} points after cleaning, got {len(clean.points)} ({why}); {remedy}"
 
 
 def inside(points: FloatArray, box: Box | None, *, default: bool = True) -> BoolArray:
-    """True for points in the box, bounds included, (n,) bool; the default for all points without a box."""
+    """True for points in the box, bounds included, (n,) bool; without a box, the default for all points."""
     if box is None:
         return np.full(len(points), default)
-    return _all((points >= np.array(box[:3])) & (points <= np.array(box[3:])))
-
-
-def _all(flags: BoolArray) -> BoolArray:
-    """True for rows that are all true, (n,) bool."""
-    return np.logical_and.reduce(flags, axis=1)
+    low = box[:3]
+    high = box[3:]
+    return np.all((points >= low) & (points <= high), axis=1)

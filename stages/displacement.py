@@ -170,10 +170,10 @@ class _Fit:
             distance_upper_bound=reach_m,
         )
         met = np.flatnonzero(np.isfinite(distance[:, 0]))
-        is_near = np.isfinite(distance[met])[..., None]
-        near = np.where(is_near[..., 0], near[met], 0)
-        points = (self.sim.data[near] * is_near).sum(axis=1) / is_near.sum(axis=1)
-        return met, ((points - self.places[met]) * self.normal[met]).sum(axis=1)
+        is_near = np.isfinite(distance[met])
+        points = self.sim.data.take(np.where(is_near, near[met], 0), axis=0)
+        mean = np.einsum("nkd,nk->nd", points, is_near) / is_near.sum(axis=1, keepdims=True)
+        return met, ((mean - self.places[met]) * self.normal[met]).sum(axis=1)
 
     def misfit(self, values: FloatArray) -> float:
         """Mean distance of the simulated points from the displaced planes, each counted up to half a metre."""

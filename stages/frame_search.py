@@ -6,8 +6,10 @@ scan, and looks the same after rotation or mirroring. The limits are defined by 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import permutations, product
 
 import numpy as np
@@ -15,7 +17,7 @@ import scipy
 
 from ..schemas.data_files import read_data
 from ..schemas.settings import FRAME_AXES, Box, FrameName, InputSettings
-from .arrays import BoolArray, FloatArray, IndexArray, level_m
+from .arrays import BoolArray, FloatArray, IndexArray, level_m, moved
 from .clean import as_ros, clean_scan, inside
 from .thinning import shares_voxel
 from .trust import is_far_from_origin
@@ -41,8 +43,9 @@ _MAX_LIFT_LEFT_M = 0.05
 _MAX_COVERAGE_LOST = 0.02
 _LIFT_STEPS = 4
 _NEARER = 0.6  # of the median distance before a lift
-#: Metres per unit, and the largest ratio of the reach of both sides in a unit.
+#: Metres per unit, and the largest ratio of the reach of both sides in a unit; "" for metres.
 _UNITS = {
+    "": (1.0, np.inf),
     "centimetres": (0.01, 10.0),
     "millimetres": (0.001, 10.0),
     "decimetres": (0.1, 1.6),
@@ -52,11 +55,13 @@ _UNITS = {
 _GROUND_STEP_M = 0.1
 
 _DIRECTIONS = (("forward", "back"), ("left", "right"), ("up", "down"))
-#: Points of a sample, by which candidates are chosen that the whole sample compares.
-_FEW_POINTS, _MOST_PROMISING = 300, 8
-#: Returns of a sample, by which sizes are chosen that the whole scan confirms.
-_SOME_RETURNS, _MOST_SIZES = 3000, 2
-_LEAST_SCALE, _MOST_SCALE, _ALIKE = 0.2, 5.0, 0.05
+_FEW_POINTS = 300  # of a scan, by which the most promising candidates are chosen
+_MOST_PROMISING = 8
+_SOME_RETURNS = 3000  # of a scan, by which the most promising sizes are chosen
+_MOST_SIZES = 2
+_LEAST_SCALE = 0.2
+_MOST_SCALE = 5.0
+_LEAST_SCALE_CHANGE = 0.05
 _FINE_SCALES = np.linspace(0.9, 1.1, 11)
 _LEAST_HEIGHT_M = 0.3
 _MIN_SCALED_COVERAGE = 0.75  # smaller scans cover each other more easily
@@ -69,9 +74,9 @@ _FRAMES: dict[FrameName, FloatArray] = {name: as_ros(np.eye(3), name).T for name
 
 def _rotations() -> dict[str, FloatArray]:
     """All 48 orders and signs of the axes by name, usual mistakes first."""
-    turns = {
-        name: np.array(rows, dtype=np.float64) for name, rows in read_data("axis_mistakes").items()
-    }
+    turns = {}
+    for name, rows in read_data("axis_mistakes").items():
+        turns[name] = np.array(rows, dtype=np.float64)
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
             turn = np.eye(3)[list(order)].T * signs
@@ -81,7 +86,7 @@ def _rotations() -> dict[str, FloatArray]:
 
 
 def _axes_words(turn: FloatArray) -> str:
-    """Where each axis of the file points: "x right, y up, z forward"."""
+    """Directions of the axes of the file: "x right, y up, z forward"."""
     words = []
     for axis, direction in zip("xyz", turn.T, strict=True):
         row = int(np.abs(direction).argmax())
@@ -96,10 +101,10 @@ _ROTATIONS = _rotations()
 class FrameCheck:
     """Coverage of the real scan by the simulated one, as given and for the best candidate transform.
 
-    as_it_lies, coverage : 0 to 1, see `check_frames`; coverage of the scan as given, and for the best candidate; if the
-        first is too high for any suspicion, there is no search for others
+    as_it_lies : coverage of the scan as given, 0 to 1, see `check_frames`; others are not tried if it is high
     reading : description of the best candidate, "as given" if no other fits better
-    is_suspect : another candidate fits much better
+    coverage : by the best candidate, 0 to 1
+    is_suspect : the best candidate fits much better than the scan as given
     setting : setting that selects the best candidate; "" if that is the present one
     """
 
@@ -112,7 +117,8 @@ class FrameCheck:
     @property
     def is_other_frame(self) -> bool:
         """True if other axes, units or motions fit much better, and not only the ground is at another height."""
-        return self.is_suspect and not is_only_lifted(self.reading, self.coverage - self.as_it_lies)
+        gain = self.coverage - self.as_it_lies
+        return self.is_suspect and not is_only_lifted(self.reading, gain)
 
     @property
     def is_elsewhere(self) -> bool:
@@ -124,30 +130,64 @@ class FrameCheck:
         """Reason why no cause can be named; None if both scans are in one frame, and show one place."""
         if self.is_elsewhere:
             return "the two scans do not show the same place"
-        return (
-            f"the simulated scan is in another frame: {self.reading}"
-            if self.is_other_frame
-            else None
-        )
+        if self.is_other_frame:
+            return f"the simulated scan is in another frame: {self.reading}"
+        return None
 
 
 def is_only_lifted(reading: str, gain: float) -> bool:
-    """True if a scan fits a little better with its ground at another height, and all else as given."""
+    """True if the only difference of the best candidate is the height of its ground, and it covers little more."""
     return gain < MIN_GAIN and reading.startswith(_LIFTED) and ", in " not in reading  # a unit
+
+
+class _Side:
+    """Downsampled scan: points, ground flags, search tree, and rows of a sample.
+
+    box : points outside of it are left out of comparisons, also those of the other side
+    """
+
+    def __init__(self, points: FloatArray, box: Box | None = None) -> None:
+        self.points = points
+        self.box = box
+        self.ground_m = ground_height(points)
+        self.is_ground: BoolArray = np.abs(points[:, 2] - self.ground_m) < _GROUND_BAND_M
+        self.tree = scipy.spatial.cKDTree(points)
+        # random, as a regular sample would follow the rings of the scan
+        rows = np.random.default_rng(0).permutation(len(points))
+        self.sample: IndexArray = np.sort(rows[:_MAX_POINTS])
+
+    def some(self, n_points: int) -> tuple[FloatArray, BoolArray]:
+        """Up to n points of the sample, and their ground flags."""
+        step = math.ceil(len(self.sample) / n_points) or 1
+        rows = self.sample[::step]
+        return self.points[rows], self.is_ground[rows]
+
+    def shares_near(self, points: FloatArray, is_ground: BoolArray) -> list[float]:
+        """Share of the ground points, and of the others, with a point of this side within reach; none of no points."""
+        apart, _ = self.tree.query(points, distance_upper_bound=_NEAR_M)
+        is_near: BoolArray = np.isfinite(apart)
+        shares = []
+        for rows in (is_ground, ~is_ground):
+            if rows.any():
+                shares.append(float(is_near[rows].mean()))
+        return shares
 
 
 @dataclass(frozen=True)
 class _Candidate:
-    """Candidate transform of the simulated scan: p, in metres, becomes R p + t; R is a rotation or a reflection.
+    """The simulated scan under a candidate transform: p, in metres, becomes R p + t.
 
+    real, sim : both scans, in metres
+    M : (3, 4) float64, [R | t]; R is a rotation or a reflection
     words : description of the rotation or reflection; "" for none
-    M : (3, 4) float64, [R | t]
     unit : unit of the file; "" for metres
     lift_m : difference of the ground heights, as part of t
     """
 
-    words: str
+    real: _Side
+    sim: _Side
     M: FloatArray
+    words: str = ""
     unit: str = ""
     lift_m: float = 0.0
 
@@ -158,23 +198,41 @@ class _Candidate:
         words = " and ".join(filter(None, (self.words, lift)))
         return ", ".join(filter(None, (words, self.unit and f"in {self.unit}"))) or _AS_GIVEN
 
+    @cached_property
+    def coverage(self) -> float:
+        """Mean over both directions, and over ground and the rest, of the share of points with another within reach."""
+        return self.coverage_of(_MAX_POINTS)
 
-class _Side:
-    """Downsampled scan: points, ground flags, search tree, and rows of a sample."""
+    def coverage_of(self, n_points: int) -> float:
+        """Coverage of up to n points of each scan."""
+        real_points, real_ground = self.real.some(n_points)
+        sim_points, sim_ground = self.sim.some(n_points)
+        placed = self.placed(sim_points)
+        is_inside = inside(placed, self.real.box)
+        # distances do not change, so the tree is reused
+        back = (real_points - self.M[:, 3]) @ self.M[:, :3]
+        shares = [
+            *self.real.shares_near(placed[is_inside], sim_ground[is_inside]),
+            *self.sim.shares_near(back, real_ground),
+        ]
+        return float(np.mean(shares)) if shares else 0.0
 
-    def __init__(self, points: FloatArray) -> None:
-        self.points = points
-        self.ground_m = ground_height(points)
-        self.is_ground: BoolArray = np.abs(points[:, 2] - self.ground_m) < _GROUND_BAND_M
-        self.tree = scipy.spatial.cKDTree(points)
-        # random, as a regular sample would follow the rings of the scan
-        self.sample: IndexArray = np.sort(
-            np.random.default_rng(0).permutation(len(points))[:_MAX_POINTS],
-        )
+    def placed(self, points: FloatArray) -> FloatArray:
+        """Points of the simulated scan, transformed."""
+        return moved(points, self.M)
+
+    def lifted(self, lift_m: float) -> _Candidate:
+        """The candidate with the simulated scan higher."""
+        M = self.M.copy()
+        M[2, 3] += lift_m
+        return replace(self, M=M, lift_m=self.lift_m + lift_m)
 
 
 def check_frames(
-    real: FloatArray, sim: FloatArray, settings: InputSettings, T_real_sim: FloatArray | None = None
+    real: FloatArray,
+    sim: FloatArray,
+    settings: InputSettings,
+    T_real_sim: FloatArray | None = None,
 ) -> FrameCheck | None:
     """Compare the coverage of the scans as given with that of the best candidate; None if there are too few points.
 
@@ -206,44 +264,35 @@ def check_frames(
     motion = np.eye(3, 4) if T_real_sim is None else T_real_sim
     real = real[np.isfinite(real).all(axis=1)]
     sim = sim[np.isfinite(sim).all(axis=1)]
-    target_points = _thinned(real, settings, "real")
-    target_points = target_points[inside(target_points, settings.include_box)]
-    if len(target_points) < _MIN_POINTS:
-        return None
-    target = _Side(target_points)
+    target = _thinned(real, settings, "real")
     some_sim = _some_returns(sim)
     reach_ratio = _reach_m(_some_returns(real)) / max(_reach_m(some_sim), 1e-9)
-    sources = {}
-    for unit, scale in _scales(reach_ratio).items():
-        points = _thinned(sim * scale, settings, "sim")
-        if len(points) >= _MIN_POINTS:
-            sources[unit] = _Side(points)
-    if not sources:
+    sources = _sources(sim, reach_ratio, settings)
+    if len(target.points) < _MIN_POINTS or not sources:
         return None
-    as_given, scored = _search(target, sources, settings, motion)
+    metres = sources.get("") or _Side(sim[:0])
+    given = _Candidate(target, metres, motion)
+    best = _search(given, sources)
     if "" in sources:
-        sizes = _sizes(target, sources[""], reach_ratio, scored[0])
-        scored = _scaled(
-            target, sources, (sim, some_sim), sizes, settings, motion, as_given, scored
-        )
-    coverage, best = scored
-    is_suspect = coverage >= _MIN_COVERAGE and _is_better(as_given, coverage, best.unit)
-    start = best if is_suspect else _Candidate("", motion)
-    source = sources.get(start.unit)
-    if source and coverage >= MIN_SAME_PLACE and (levelled := _levelled(target, source, start)):
-        before = coverage if is_suspect else as_given
-        after = _coverage(target, source, levelled, settings.include_box)
-        in_metres = source.points if start.unit else sim
+        sizes = _sizes(given, reach_ratio, best.coverage)
+        for candidate in _resized(given, sim, some_sim, sizes, settings):
+            least = max(best.coverage, _MIN_SCALED_COVERAGE)
+            if candidate.coverage > least and _is_better(given, candidate):
+                best = candidate
+    is_suspect = best.coverage >= _MIN_COVERAGE and _is_better(given, best)
+    start = best if is_suspect else given
+    if best.coverage >= MIN_SAME_PLACE and (levelled := _levelled(start)):
+        in_metres = start.sim.points if start.unit else sim
         if (
-            after >= max(before - _MAX_COVERAGE_LOST, MIN_SAME_PLACE)
+            levelled.coverage >= max(start.coverage - _MAX_COVERAGE_LOST, MIN_SAME_PLACE)
             and not is_far_from_origin(real)
             and not is_far_from_origin(in_metres)
-            and (is_suspect or _is_nearer(real, source, start.M, levelled.M, settings))
+            and (is_suspect or _is_nearer(real, start, levelled, settings))
         ):
             best = levelled
-            coverage = after
             is_suspect = True
-    return FrameCheck(as_given, best.name, coverage, is_suspect, _setting(best, settings, motion))
+    setting = _setting(best, settings, motion)
+    return FrameCheck(given.coverage, best.name, best.coverage, is_suspect, setting)
 
 
 def ground_height(points: FloatArray) -> float:
@@ -260,116 +309,110 @@ def ground_height(points: FloatArray) -> float:
     steps = np.floor(points[:, 2] / _GROUND_STEP_M).astype(np.int64)
     counts = np.bincount(steps - steps.min())
     width = round(2 * _GROUND_BAND_M / _GROUND_STEP_M)
-    fullest = int(np.convolve(counts, np.ones(width), "full").argmax())  # the last step of the band
+    in_bands = np.convolve(counts, np.ones(width), "full")
+    fullest = int(in_bands.argmax())  # the last step of the band
     return float((steps.min() + fullest + 1) * _GROUND_STEP_M - _GROUND_BAND_M)
 
 
-def _search(
-    target: _Side, sources: dict[str, _Side], settings: InputSettings, motion: FloatArray
-) -> tuple[float, tuple[float, _Candidate]]:
-    """Coverage of the scan as given; best coverage, and the candidate that reaches it.
-
-    The search stops early if the scan as given covers so much that no other can be suspect.
-    """
-    box = settings.include_box
-    as_given = 0.0
-    rough: list[tuple[float, _Candidate]] = []
+def _search(given: _Candidate, sources: dict[str, _Side]) -> _Candidate:
+    """The candidate of the highest coverage; the scan as given if no other can be suspect, or none is better."""
+    if 1 - given.coverage < MIN_GAIN:
+        return given
+    candidates: list[_Candidate] = []
     for unit, source in sources.items():
-        for candidate in _candidates(target, source, motion, unit):
-            if candidate.name == _AS_GIVEN:
-                as_given = _coverage(target, source, candidate, box)
-                if 1 - as_given < MIN_GAIN:
-                    return as_given, (as_given, candidate)
-            rough.append((_coverage(target, source, candidate, box, _FEW_POINTS), candidate))
-    rough.sort(key=lambda scored: -scored[0])
-    best: tuple[float, _Candidate] = as_given, _Candidate("", motion)
-    for _, candidate in rough[:_MOST_PROMISING]:
-        coverage = _coverage(target, sources[candidate.unit], candidate, box)
-        if coverage > best[0]:
-            best = coverage, candidate
-    return as_given, best
+        candidates += _candidates(replace(given, sim=source, unit=unit))
+    candidates.sort(key=lambda candidate: -candidate.coverage_of(_FEW_POINTS))
+    return max(given, *candidates[:_MOST_PROMISING], key=lambda candidate: candidate.coverage)
 
 
-def _sizes(target: _Side, source: _Side, reach_ratio: float, coverage: float) -> list[float]:
-    """Metres per unit of the sizes to be tried.
+def _candidates(given: _Candidate) -> Iterator[_Candidate]:
+    """A scan in all orders and signs of the axes, also with its ground at the height of the real one."""
+    R = given.M[:, :3]
+    for words, turn in _ROTATIONS.items():
+        M = np.column_stack([R @ turn, given.M[:, 3]])
+        turned = replace(given, M=M, words=words)
+        yield turned
+        lift_m = given.real.ground_m - ground_height(turned.placed(given.sim.points))
+        if abs(lift_m) >= _MIN_SHIFT_M:
+            yield turned.lifted(lift_m)
 
-    That in which the simulated scan reaches as far as the real one, and if nothing covers much yet, others around it
-    and around that in which the sensor is at the height of the real one.
+
+def _sizes(given: _Candidate, reach_ratio: float, coverage: float) -> list[float]:
+    """Factors by which the simulated scan is to be enlarged.
+
+    By the first it reaches as far as the real one. If the best candidate so far covers little, also factors around it,
+    and around the one by which its sensor is as high above the road as the real one.
     """
     sizes = [reach_ratio]
     if 1 - coverage >= MIN_GAIN:
         sizes += (reach_ratio * _FINE_SCALES).tolist()
-        if min(abs(target.ground_m), abs(source.ground_m)) > _LEAST_HEIGHT_M:
-            sizes += (target.ground_m / source.ground_m * _FINE_SCALES).tolist()
+        real_m = given.real.ground_m
+        sim_m = given.sim.ground_m
+        if min(abs(real_m), abs(sim_m)) > _LEAST_HEIGHT_M:
+            sizes += (real_m / sim_m * _FINE_SCALES).tolist()
     return [
         size
         for size in dict.fromkeys(sizes)
-        if _LEAST_SCALE <= size <= _MOST_SCALE and abs(size - 1) >= _ALIKE
+        if _LEAST_SCALE <= size <= _MOST_SCALE and abs(size - 1) >= _LEAST_SCALE_CHANGE
     ]
 
 
-def _scaled(
-    target: _Side,
-    sources: dict[str, _Side],
-    scans: tuple[FloatArray, FloatArray],
+def _resized(
+    given: _Candidate,
+    sim: FloatArray,
+    some_sim: FloatArray,
     sizes: list[float],
     settings: InputSettings,
-    motion: FloatArray,
-    as_given: float,
-    best: tuple[float, _Candidate],
-) -> tuple[float, _Candidate]:
-    """The best of a candidate and of the simulated scan in another size, which is added to the sources.
+) -> Iterator[_Candidate]:
+    """The simulated scan enlarged by the factors for which a sample of it covers most.
 
     Parameters
     ----------
-    scans : simulated points, all and a sample of them
+    sim, some_sim : simulated points as read, all and a sample
+    sizes : factors to be tried
     """
-    sim, some_sim = scans
     rough = []
     for size in sizes:
-        points = _thinned(some_sim * size, settings, "sim")
-        if len(points) >= _MIN_POINTS:
-            candidate = _Candidate("", motion)
-            coverage = _coverage(target, _Side(points), candidate, settings.include_box)
-            rough.append((coverage, size))
+        source = _thinned(some_sim * size, settings, "sim")
+        if len(source.points) >= _MIN_POINTS:
+            candidate = replace(given, sim=source)
+            rough.append((candidate.coverage, size))
     for _, size in sorted(rough, reverse=True)[:_MOST_SIZES]:
-        unit = f"{_UNITS_OF} {size:.3g} m"
-        source = _Side(_thinned(sim * size, settings, "sim"))
-        candidate = _Candidate("", motion, unit)
-        coverage = _coverage(target, source, candidate, settings.include_box)
-        if coverage > max(best[0], _MIN_SCALED_COVERAGE) and _is_better(as_given, coverage, unit):
-            sources[unit] = source
-            best = coverage, candidate
-    return best
+        source = _thinned(sim * size, settings, "sim")
+        yield replace(given, sim=source, unit=f"{_UNITS_OF} {size:.3g} m")
 
 
-def _is_better(as_given: float, coverage: float, unit: str) -> bool:
+def _is_better(given: _Candidate, other: _Candidate) -> bool:
     """True if a candidate fits so much better than the scan as given that it is suspect."""
-    gain = coverage - as_given
-    left = (1 - coverage) / max(1 - as_given, 1e-9)
-    if unit.startswith(_UNITS_OF) and gain >= _MIN_SCALED_GAIN and left <= _MOST_LEFT:
+    gain = other.coverage - given.coverage
+    left = (1 - other.coverage) / max(1 - given.coverage, 1e-9)
+    if other.unit.startswith(_UNITS_OF) and gain >= _MIN_SCALED_GAIN and left <= _MOST_LEFT:
         return True
     return gain >= MIN_GAIN and left <= _MAX_UNCOVERED_RATIO
 
 
 def _some_returns(points: FloatArray) -> FloatArray:
     """A random sample of the points, without missing returns."""
-    some = points[np.random.default_rng(0).permutation(len(points))[:_SOME_RETURNS]]
+    rows = np.random.default_rng(0).permutation(len(points))
+    some = points[rows[:_SOME_RETURNS]]
     return some[some.any(axis=1)]
 
 
 def _reach_m(points: FloatArray) -> float:
     """Median distance of the points; 0 without any."""
-    x, y, z = points.T
-    return float(np.median(np.hypot(np.hypot(x, y), z))) if len(x) else 0.0
+    if not len(points):
+        return 0.0
+    distance_m = np.hypot(level_m(points), points[:, 2])
+    return float(np.median(distance_m))
 
 
-def _levelled(target: _Side, source: _Side, candidate: _Candidate) -> _Candidate | None:
+def _levelled(start: _Candidate) -> _Candidate | None:
     """Candidate with the ground at the height of the real one; None if that changes little or does not converge."""
-    placed = _placed(source.points, candidate.M)
+    target = start.real
+    placed = start.placed(start.sim.points)
     ground = target.points[target.is_ground]
     tree = scipy.spatial.cKDTree(ground[:, :2])
-    step_m = 0.0 if candidate.lift_m else target.ground_m - ground_height(placed)
+    step_m = 0.0 if start.lift_m else target.ground_m - ground_height(placed)
     change_m = 0.0
     for _ in range(_LIFT_STEPS):
         change_m += step_m
@@ -379,78 +422,30 @@ def _levelled(target: _Side, source: _Side, candidate: _Candidate) -> _Candidate
         is_near = np.isfinite(apart)
         if is_near.sum() < _MIN_GROUND_POINTS:
             return None
-        step_m = float(np.median(ground[row[is_near], 2] - z[is_ground][is_near]))
-    lift_m = candidate.lift_m + change_m
-    if abs(step_m) > _MAX_LIFT_LEFT_M or abs(lift_m) < _MIN_LIFT_M:
+        above_m = ground[row[is_near], 2] - z[is_ground][is_near]
+        step_m = float(np.median(above_m))
+    levelled = start.lifted(change_m)
+    if abs(step_m) > _MAX_LIFT_LEFT_M or abs(levelled.lift_m) < _MIN_LIFT_M:
         return None
-    M = candidate.M.copy()
-    M[2, 3] += change_m
-    return replace(candidate, M=M, lift_m=lift_m)
+    return levelled
 
 
 def _is_nearer(
-    real: FloatArray, source: _Side, before: FloatArray, after: FloatArray, settings: InputSettings
+    real: FloatArray,
+    before: _Candidate,
+    after: _Candidate,
+    settings: InputSettings,
 ) -> bool:
-    """True if points of the simulated scan are much nearer to the real one after a motion."""
+    """True if points of the simulated scan are much nearer to the real one under another candidate."""
     tree = scipy.spatial.cKDTree(as_ros(real, settings.frame_of("real")))
-    points = source.points[source.sample]
-    apart_m = [np.median(tree.query(_placed(points, M))[0]) for M in (before, after)]
-    return bool(apart_m[1] < _NEARER * apart_m[0])
-
-
-def _candidates(
-    target: _Side,
-    source: _Side,
-    motion: FloatArray,
-    unit: str,
-) -> Iterator[_Candidate]:
-    """All candidates; the scan as given comes first, so that it wins ties."""
-    for name, turn in _ROTATIONS.items():
-        words = "" if name == _AS_GIVEN else name
-        M = np.column_stack([motion[:, :3] @ turn, motion[:, 3]])
-        yield _Candidate(words, M, unit)
-        lift_m = target.ground_m - ground_height(_placed(source.points, M))
-        if abs(lift_m) >= _MIN_SHIFT_M:
-            lifted = M.copy()
-            lifted[2, 3] += lift_m
-            yield _Candidate(words, lifted, unit, lift_m)
-
-
-def _coverage(
-    target: _Side,
-    source: _Side,
-    candidate: _Candidate,
-    box: Box | None,
-    n_points: int = _MAX_POINTS,
-) -> float:
-    """Mean over both directions, and over ground and the rest, of the share of points with another within reach."""
-    source_rows = source.sample[:: -(-len(source.sample) // n_points)]
-    target_rows = target.sample[:: -(-len(target.sample) // n_points)]
-    placed = _placed(source.points[source_rows], candidate.M)
-    is_inside = inside(placed, box)
-    # distances do not change, so the tree is reused
-    back = (target.points[target_rows] - candidate.M[:, 3]) @ candidate.M[:, :3]
-    shares = [
-        *_shares(target.tree, placed[is_inside], source.is_ground[source_rows][is_inside]),
-        *_shares(source.tree, back, target.is_ground[target_rows]),
-    ]
-    return float(np.mean(shares)) if shares else 0.0
-
-
-def _shares(
-    tree: scipy.spatial.cKDTree,
-    points: FloatArray,
-    is_ground: BoolArray,
-) -> Iterator[float]:
-    apart, _ = tree.query(points, distance_upper_bound=_NEAR_M)
-    is_near: BoolArray = np.isfinite(apart)
-    for chosen in (is_ground, ~is_ground):
-        if chosen.any():
-            yield float(is_near[chosen].mean())
+    points = before.sim.points[before.sim.sample]
+    before_m = np.median(tree.query(before.placed(points))[0])
+    after_m = np.median(tree.query(after.placed(points))[0])
+    return bool(after_m < _NEARER * before_m)
 
 
 def _setting(candidate: _Candidate, settings: InputSettings, motion: FloatArray) -> str:
-    """Text of the settings that select a candidate."""
+    """Changes of settings and data that select a candidate, as text; "" if there are none."""
     parts = []
     if candidate.unit:
         parts.append(f"simulated points in metres (they are in {candidate.unit})")
@@ -467,57 +462,68 @@ def _setting(candidate: _Candidate, settings: InputSettings, motion: FloatArray)
     if sim_frame != present_sim:
         parts.append(f"input.sim_frame={sim_frame}")
     if not np.allclose(new_motion, motion, atol=1e-9):
-        numbers = " ".join(f"{value + 0.0:.5g}" for value in np.round(new_motion, 5).ravel())
+        rounded = np.round(new_motion, 5) + 0.0
+        numbers = " ".join(f"{value:.5g}" for value in rounded.ravel())
         parts.append(f'T_real_sim "{numbers}" in pairs.csv')
     return " and ".join(parts)
 
 
 def _frames_and_motion(
-    M: FloatArray, real: FrameName, sim: FrameName, motion: FloatArray
+    M: FloatArray,
+    real: FrameName,
+    sim: FrameName,
+    motion: FloatArray,
 ) -> tuple[FrameName, FrameName, FloatArray]:
-    """Frames of both sides and T_real_sim that place the simulated scan as M does; only frames if possible.
+    """Frames of both sides and T_real_sim that place the simulated scan as a candidate does.
 
-    With p_ros = F p on each side, M F_sim q coincides with F_real p. Other frames F' have the same effect with [R | t']
-    if F'_real F_real^-1 M_R F_sim = R F'_sim, for the present R; the fewest frames are changed.
+    The rotation R of T_real_sim stays if other frames are enough, as few of them as possible. A frame F converts points
+    to p_ros = F p. The candidate places the simulated point q at M F_sim q, next to F_real p of the real scan. Other
+    frames F' with [R | t'] do so, too, if F'_real F_real^-1 M_R F_sim = R F'_sim.
+
+    Parameters
+    ----------
+    M : (3, 4) float64, of the candidate
+    real, sim : present frames
+    motion : (3, 4) float64, present T_real_sim
     """
     R = motion[:, :3]
+    sim_axes = M[:, :3] @ _FRAMES[sim]
     # real sensors are right-handed, if anything else fits
     reals = sorted(_FRAMES, key=lambda name: name == "carla")
-    sims = list(_FRAMES)
-    candidates = [
-        (real, sim),
-        *product([real], sims),
-        *product(reals, [sim]),
-        *product(reals, sims),
-    ]
+    candidates = sorted(
+        product(reals, _FRAMES),
+        key=lambda frames: (frames[0] != real, frames[1] != sim),
+    )
     for new_real, new_sim in candidates:
         change = _FRAMES[new_real] @ _FRAMES[real].T
-        if np.allclose(change @ M[:, :3] @ _FRAMES[sim], R @ _FRAMES[new_sim], atol=1e-9):
+        if np.allclose(change @ sim_axes, R @ _FRAMES[new_sim], atol=1e-9):
             return new_real, new_sim, np.column_stack([R, change @ M[:, 3]])
     if np.linalg.det(M[:, :3]) > 0:
         return real, sim, M
     usual: FrameName = "ros" if sim == "carla" else "carla"
-    return real, usual, np.column_stack([M[:, :3] @ _FRAMES[sim] @ _FRAMES[usual].T, M[:, 3]])
+    return real, usual, np.column_stack([sim_axes @ _FRAMES[usual].T, M[:, 3]])
 
 
-def _thinned(points: FloatArray, settings: InputSettings, side: str) -> FloatArray:
+def _sources(sim: FloatArray, reach_ratio: float, settings: InputSettings) -> dict[str, _Side]:
+    """The simulated scan by unit: as given, and in those in which it reaches about as far as the real one."""
+    sources = {}
+    for unit, (scale, most) in _UNITS.items():
+        if 1 / most < scale / max(reach_ratio, 1e-9) < most:
+            source = _thinned(sim * scale, settings, "sim")
+            if len(source.points) >= _MIN_POINTS:
+                sources[unit] = source
+    return sources
+
+
+def _thinned(points: FloatArray, settings: InputSettings, side: str) -> _Side:
     """One point per voxel, the first in the order of the scan, of the measurements within reach of the sensor."""
     with np.errstate(over="ignore"):  # infinite distances are out of reach
         is_near = level_m(points) < _REACH_M
-        near = points[is_near & (np.abs(points[:, 2]) < _REACH_M)]
-    all_points = settings.model_copy(update={"include_box": None, "voxel_m": None})
+        is_near &= np.abs(points[:, 2]) < _REACH_M
+    near = points[is_near]
     first = near[~shares_voxel(near, _VOXEL_M)]
-    return clean_scan(first, all_points, frame=settings.frame_of(side)).points
-
-
-def _scales(reach_ratio: float) -> dict[str, float]:
-    """Metres per unit of metres, "", and of units in which a simulated scan reaches about as far as the real one."""
-    scales = {"": 1.0}
-    for unit, (scale, most) in _UNITS.items():
-        if 1 / most < scale / max(reach_ratio, 1e-9) < most:
-            scales[unit] = scale
-    return scales
-
-
-def _placed(points: FloatArray, M: FloatArray) -> FloatArray:
-    return points @ M[:, :3].T + M[:, 3]
+    # candidates of the simulated scan are cut when they are placed
+    box = settings.include_box if side == "real" else None
+    cleaning = settings.model_copy(update={"include_box": box, "voxel_m": None})
+    clean = clean_scan(first, cleaning, frame=settings.frame_of(side))
+    return _Side(clean.points, box)

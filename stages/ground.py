@@ -11,9 +11,8 @@ import numpy as np
 import scipy
 
 from ..schemas.errors import StageError
-from ..schemas.settings import GroundSettings, Settings
-from .arrays import BoolArray, FloatArray, Watch, unwatched
-from .clean import CleanResult, clean_scan, too_few_left
+from ..schemas.settings import GroundSettings
+from .arrays import BoolArray, FloatArray
 from .linalg.nearest import nearest_points, search_tree
 
 MIN_OBJECT_POINTS = 8
@@ -52,43 +51,6 @@ class GroundResult:
     loss: float | None
     iterations: int | None
     notes: tuple[str, ...] = ()
-
-
-def remove_road(
-    points: FloatArray,
-    settings: Settings,
-    side: str,
-    *,
-    T_real_sim: FloatArray | None = None,
-    real_cut: GroundResult | None = None,
-    real_points: FloatArray | None = None,
-    watch: Watch = unwatched,
-) -> tuple[CleanResult, GroundResult]:
-    """The measurements of a scan in the real sensor's frame, and which of them are road.
-
-    Parameters
-    ----------
-    points : (n, 3) float64, metres, in the side's own frame
-    settings : of input and ground
-    side : "real" or "sim"
-    T_real_sim : (3, 4) float64, of the simulated side
-    real_cut, real_points : for the simulated side, the real side's cut if `ground.shared` or `ground.peak` require it,
-        and for the latter its (m, 3) clean points; see `remove_ground`
-    watch : entered around the steps clean and ground
-
-    Raises
-    ------
-    StageError
-        Fewer than 8 points are left.
-    """
-    with watch("clean"):
-        frame = settings.input.frame_of(side)
-        clean = clean_scan(points, settings.input, frame=frame, T_real_sim=T_real_sim)
-    n_left = len(clean.points)
-    if n_left < MIN_OBJECT_POINTS:
-        raise StageError(too_few_left(n_left, MIN_OBJECT_POINTS, clean.dropped, settings.input))
-    with watch("ground"):
-        return clean, remove_ground(clean.points, settings.ground, real_cut, real_points)
 
 
 def remove_ground(
@@ -163,18 +125,24 @@ def _cut(
     settings: GroundSettings,
     shared: GroundResult | None,
 ) -> tuple[BoolArray, float | None, float | None, int | None]:
-    """Ground flags, threshold, its loss, and number of times it was lowered; see `GroundResult`."""
+    """Ground flags by the method of the settings; threshold, its loss, and number of times it was lowered, or None."""
     if settings.method == "none":
         return np.zeros(len(points), dtype=bool), None, None, None
     if settings.method == "patchwork":
         return _patchwork(points, peak_m), None, None, None
-    threshold_m = shared.threshold_m if shared else None
-    iterations = shared.iterations if shared else None
-    if threshold_m is None:
-        threshold_m, iterations = _lower_threshold(points, height, peak_m, settings)
-    is_ground = height < threshold_m
-    loss = _variance_loss(points, height, is_ground, peak_m, settings)
-    return is_ground, threshold_m, loss, iterations
+    if shared and shared.threshold_m is not None:
+        is_ground = height < shared.threshold_m
+        loss = _variance_loss(points, height, is_ground, peak_m, settings)
+        return is_ground, shared.threshold_m, loss, shared.iterations
+    iterations = 0
+    while True:
+        above_peak_m = settings.prior_m - iterations * STEP_M
+        threshold_m = peak_m + (above_peak_m if above_peak_m > _ROUNDING_M else 0.0)
+        is_ground = height < threshold_m
+        loss = _variance_loss(points, height, is_ground, peak_m, settings)
+        if loss <= settings.max_variance_loss or threshold_m <= peak_m:
+            return is_ground, threshold_m, loss, iterations
+        iterations += 1
 
 
 def _vertical_axis(points: FloatArray, notes: list[str]) -> tuple[FloatArray, float]:
@@ -194,7 +162,7 @@ def _vertical_axis(points: FloatArray, notes: list[str]) -> tuple[FloatArray, fl
 
 
 def _find_peak(points: FloatArray, height: FloatArray, notes: list[str]) -> float:
-    """Height of the road."""
+    """Height of the road along the axis."""
     near = height[np.linalg.norm(points, axis=1) <= NEAR_M]
     if not len(near):
         notes.append(f"no point within {NEAR_M:.0f} m; the road's peak is that of all points")
@@ -271,28 +239,11 @@ def _on_real_road(
         return on_road
     objects = search_tree(real_points[~cut.is_ground])
     distance_m, _ = objects.query(points, distance_upper_bound=2 * NO_OBJECT_M)
-    alone = np.flatnonzero(distance_m > NO_OBJECT_M)
-    nearest, ground_m = nearest_points(ground, points[alone])
-    above_m = height_m[alone] - cut.height_m[cut.is_ground][nearest]
-    on_road[alone] = (ground_m <= NO_OBJECT_M) & (above_m <= most_m)
+    no_object = np.flatnonzero(distance_m > NO_OBJECT_M)
+    nearest, ground_m = nearest_points(ground, points[no_object])
+    above_m = height_m[no_object] - cut.height_m[cut.is_ground][nearest]
+    on_road[no_object] = (ground_m <= NO_OBJECT_M) & (above_m <= most_m)
     return on_road
-
-
-def _lower_threshold(
-    points: FloatArray,
-    height: FloatArray,
-    peak_m: float,
-    settings: GroundSettings,
-) -> tuple[float, int]:
-    """Threshold, and the number of times it was lowered."""
-    iterations = 0
-    while True:
-        above_peak_m = settings.prior_m - iterations * STEP_M
-        threshold_m = peak_m + (above_peak_m if above_peak_m > _ROUNDING_M else 0.0)
-        loss = _variance_loss(points, height, height < threshold_m, peak_m, settings)
-        if loss <= settings.max_variance_loss or threshold_m <= peak_m:
-            return threshold_m, iterations
-        iterations += 1
 
 
 def _variance_loss(

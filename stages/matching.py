@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 
 from ..schemas.settings import MatchingSettings
-from .arrays import FloatArray, IndexArray, IntArray
+from .arrays import BoolArray, FloatArray, IndexArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -27,13 +27,12 @@ class Matching:
     not_found: IntArray
     extra: IntArray
 
-    @property
-    def pairs(self) -> list[tuple[int, int]]:
-        """Matched communities, (real id, sim id), by real id."""
-        return list(zip(self.real_ids.tolist(), self.sim_ids.tolist(), strict=True))
 
-
-def match_communities(real: FloatArray, sim: FloatArray, settings: MatchingSettings) -> Matching:
+def match_communities(
+    real: FloatArray,
+    sim: FloatArray,
+    settings: MatchingSettings,
+) -> Matching:
     """Match communities with centroids nearer than delta.
 
     greedy : real communities in id order; each is matched with the nearest simulated centroid that is still free (for
@@ -90,38 +89,51 @@ def match_reference(
     >>> matching.real_ids.tolist(), matching.not_found.tolist(), matching.extra.tolist()
     ([0, 1], [], [2])
     """
-    is_matched = n_sim[: len(n_real)] >= np.minimum(min_points, n_real)
     ids = np.arange(len(n_sim), dtype=np.int32)
-    shared = ids[: len(n_real)]
+    n_shared = len(n_real)
+    is_matched = n_sim[:n_shared] >= np.minimum(min_points, n_real)
+    shared = ids[:n_shared]
     matched = shared[is_matched]
     return Matching(
         real_ids=matched,
         sim_ids=matched,
         distance_m=np.linalg.norm(real[matched] - sim[matched], axis=1),
         not_found=shared[~is_matched],
-        extra=ids[len(n_real) :],
+        extra=ids[n_shared:],
     )
+
+
+def most_pairs(distance_m: FloatArray, is_allowed: BoolArray, most_m: float) -> IndexArray:
+    """The largest number of allowed pairs of rows and columns at the smallest total distance, (m, 2), by row.
+
+    Parameters
+    ----------
+    distance_m : (a, b) float64, metres
+    is_allowed : (a, b) bool
+    most_m : largest distance that is allowed
+    """
+    # A forbidden pair costs more than all allowed ones together, so the solution has as few of them as possible.
+    forbidden_m = most_m * (min(distance_m.shape) + 1)
+    cost = np.where(is_allowed, distance_m, forbidden_m)
+    pairs = np.column_stack(scipy.optimize.linear_sum_assignment(cost))
+    return pairs[is_allowed[*pairs.T]]
 
 
 def _greedy(real: FloatArray, sim: FloatArray, delta_m: float) -> IndexArray:
     """Real and simulated ids of Algorithm 1, (m, 2), by real id; one row of distances at a time."""
     is_taken = np.zeros(len(sim), dtype=bool)
     pairs = []
-    for real_id in range(len(real)):
-        distance = scipy.spatial.distance.cdist(real[real_id : real_id + 1], sim)[0]
-        distance[is_taken] = np.inf
-        sim_id = int(np.argmin(distance))
-        if distance[sim_id] < delta_m:
+    for real_id, centroid in enumerate(real):
+        distance_m = scipy.spatial.distance.cdist([centroid], sim)[0]
+        distance_m[is_taken] = np.inf
+        sim_id = int(np.argmin(distance_m))
+        if distance_m[sim_id] < delta_m:
             pairs.append((real_id, sim_id))
             is_taken[sim_id] = True
     return np.array(pairs, dtype=int).reshape(-1, 2)
 
 
 def _optimal(real: FloatArray, sim: FloatArray, delta_m: float) -> IndexArray:
-    """Ids of the largest number of pairs at the smallest total distance, (m, 2), by real id."""
-    distance = scipy.spatial.distance.cdist(real, sim)
-    # A forbidden pair costs more than all allowed ones together, so the solution has as few of them as possible.
-    forbidden = delta_m * (min(distance.shape) + 1)
-    cost = np.where(distance < delta_m, distance, forbidden)
-    pairs = np.column_stack(scipy.optimize.linear_sum_assignment(cost))
-    return pairs[distance[*pairs.T] < delta_m]
+    """Real and simulated ids of the most pairs nearer than delta, (m, 2), by real id; see `most_pairs`."""
+    distance_m = scipy.spatial.distance.cdist(real, sim)
+    return most_pairs(distance_m, distance_m < delta_m, delta_m)

@@ -58,12 +58,16 @@ def describe_objects(points: FloatArray, labels: IntArray, n_ids: int = 0) -> Ob
     described = np.full((3, len(rows_of), 3), np.nan)
     for i in np.flatnonzero(n_points):
         member = points[rows_of[i]]
-        described[:, i] = (member.mean(axis=0), np.ptp(member, axis=0), _shape(member))
+        described[0, i] = member.mean(axis=0)
+        described[1, i] = np.ptp(member, axis=0)
+        described[2, i] = _shape(member)
     return Objects(n_points, *described)
 
 
 def majority_labels(
-    labels: IntArray, names: list[Name | None], n_ids: int = 0
+    labels: IntArray,
+    names: list[Name | None],
+    n_ids: int = 0,
 ) -> list[Name | None]:
     """Most frequent name in each community, for equal counts the first in order; None without names.
 
@@ -73,11 +77,11 @@ def majority_labels(
     names : (n,) class (or another name) of each point, or None
     n_ids : minimum number of ids
     """
-    counts: list[Counter[Name]] = [Counter() for _ in range(max(n_ids, int(labels.max()) + 1))]
-    for community, name in zip(labels.tolist(), names, strict=True):
-        if name is not None and community >= 0:
-            counts[community][name] += 1
-    return [max(sorted(count), key=count.__getitem__, default=None) for count in counts]
+    majority = []
+    for rows in rows_by_id(labels, n_ids):
+        counts = Counter(names[row] for row in rows if names[row] is not None)
+        majority.append(max(sorted(counts), key=counts.__getitem__, default=None))
+    return majority
 
 
 def _shape(points: FloatArray) -> tuple[float, float, float]:
@@ -86,7 +90,8 @@ def _shape(points: FloatArray) -> tuple[float, float, float]:
     # Scaled to about 1: squares of 1e-200 m would be 0.
     exponent = np.frexp(np.abs(centred).max())[1]
     centred = np.ldexp(centred, -exponent)
-    l3, l2, l1 = np.maximum(np.linalg.eigvalsh(centred.T @ centred / len(points)), 0.0)
+    covariance = centred.T @ centred / len(points)
+    l3, l2, l1 = np.maximum(np.linalg.eigvalsh(covariance), 0.0)
     if l1 <= 0:
         return 0.0, 0.0, 0.0
-    return float((l1 - l2) / l1), float((l2 - l3) / l1), float(l3 / l1)
+    return (l1 - l2) / l1, (l2 - l3) / l1, l3 / l1

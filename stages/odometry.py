@@ -89,4 +89,5 @@ def _median_length_m(motions: FloatArray) -> float:
 
 
 def _median_angle_deg(motions: FloatArray) -> float:
-    return float(np.degrees(np.median(Rotation.from_matrix(motions[:, :3, :3]).magnitude())))
+    angles = Rotation.from_matrix(motions[:, :3, :3]).magnitude()
+    return float(np.degrees(np.median(angles)))

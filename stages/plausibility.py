@@ -17,8 +17,6 @@ STEEP_SPREAD = 0.5
 STEEP_SPREAD_M = 20.0
 HALF_SWEEP_GAP_DEG = 90.0
 EGO_RANGE_M = 3.0
-MAX_RANGE_M = 150.0
-_UNITS = (("inches", 39.37), ("centimetres", 100), ("millimetres", 1000))
 _MAX_NOT_FINITE = 0.25
 _REPEATED_SHARE = 0.02
 _EVEN = 0.08
@@ -48,14 +46,17 @@ def inspect_points(
     T_real_sim : (3, 4) float64 of the simulated side; its rotation counts as a part of the axes
     """
     is_finite = np.isfinite(points).all(axis=1)
-    measured = as_ros(points[is_finite & points.any(axis=1)], settings.frame_of(side))
+    is_measured = is_finite & points.any(axis=1)
+    measured = as_ros(points[is_measured], settings.frame_of(side))
     if T_real_sim is not None:
         measured = measured @ T_real_sim[:, :3].T
     warnings = implausible(measured, side, settings.min_range_m)
     share = 1.0 - float(is_finite.mean()) if len(points) else 0.0
     if share > _MAX_NOT_FINITE:
-        dropped = f"{share:.0%} of the points are not finite (NaN or infinite) and are dropped"
-        warnings.append(f"{dropped}; is the export complete?")
+        warnings.append(
+            f"{share:.0%} of the points are not finite (NaN or infinite) and are dropped; "
+            "is the export complete?"
+        )
     return ScanInspection(widest_azimuth_gap_deg(measured), tuple(warnings))
 
 
@@ -71,45 +72,52 @@ def implausible(points: FloatArray, side: str, min_range_m: float) -> list[str]:
     """
     if not len(points):
         return []
-    odd = []
+    odd = _odd_coordinates(points, side)
+    place, n_there = _most_repeated(points)
+    if n_there > _REPEATED_SHARE * len(points):
+        numbers = ", ".join(f"{value:.4g}" for value in place)
+        odd.append(
+            f"{n_there / len(points):.0%} of the points are one repeated point ({numbers}): "
+            "rays without a return?"
+        )
+        points = points[(points != place).any(axis=1)]
+    range_m = np.linalg.norm(points, axis=1)
+    is_near = range_m < EGO_RANGE_M
+    if np.count_nonzero(is_near) > 0.5 * len(points):
+        left = np.mean(is_near & (range_m >= min_range_m))
+        odd.append(
+            f"{is_near.mean():.0%} of the points are within {EGO_RANGE_M:g} m; hits on the ego vehicle? "
+            f"{left:.1%} are kept by input.min_range_m={min_range_m:g}; "
+            f"input.min_range_m={EGO_RANGE_M:g} or input.exclude_box drops them"
+        )
+    return odd
+
+
+def _odd_coordinates(points: FloatArray, side: str) -> list[str]:
+    """Sentences for coordinates that are too large, too small, steep, or angles."""
     low, high = np.percentile(points, [1, 99], axis=0)
-    spread = high - low
+    width, depth, height = high - low
+    level = max(width, depth)
     reach = np.abs([low, high]).max()
     are_angles = _are_angles(points)
+    odd = []
     if reach > FAR_COORDINATE_M:
-        unit = _unit(low, high)
-        words = f"{reach:.0f} m" if reach < FARTHEST_M else f"{reach:.0e} m"
-        question = "a scan has its sensor at (0, 0, 0): are they projected?"
-        if unit:
-            question = f"expected metres: are they {unit}?"
-        odd.append(f"coordinates reach {words}; {question}")
-    elif spread.max() < SMALLEST_EXTENT_M:
-        odd.append(f"all points are within {spread.max():.2g} m; expected metres")
-    elif not are_angles and spread[2] > max(STEEP_SPREAD_M, STEEP_SPREAD * spread[:2].max()):
+        metres = f"{reach:.0f} m" if reach < FARTHEST_M else f"{reach:.0e} m"
         odd.append(
-            f"z spans {spread[2]:.0f} m and x and y {spread[0]:.0f} and {spread[1]:.0f} m: is z up, "
+            f"coordinates reach {metres}; expected metres, with the sensor at (0, 0, 0): "
+            "are they projected, or in another unit?"
+        )
+    elif max(level, height) < SMALLEST_EXTENT_M:
+        odd.append(f"all points are within {max(level, height):.2g} m; expected metres")
+    elif not are_angles and height > max(STEEP_SPREAD_M, STEEP_SPREAD * level):
+        odd.append(
+            f"z spans {height:.0f} m and x and y {width:.0f} and {depth:.0f} m: is z up, "
             f"are the columns right? see input.{side}_frame and input.columns"
         )
     if are_angles:
         odd.append(
-            "one column is spread evenly over a turn, and one is never negative: are they angles and ranges?"
-        )
-    place, n_there = _most_repeated(points)
-    if n_there > _REPEATED_SHARE * len(points):
-        words = ", ".join(f"{value:.4g}" for value in place)
-        odd.append(
-            f"{n_there / len(points):.0%} of the points are one repeated point ({words}): rays without a return?"
-        )
-        points = points[(points != place).any(axis=1)]
-        if not len(points):
-            return odd
-    range_m = np.linalg.norm(points, axis=1)
-    near = float(np.mean(range_m < EGO_RANGE_M))
-    if near > 0.5:
-        left = float(np.mean((range_m >= min_range_m) & (range_m < EGO_RANGE_M)))
-        odd.append(
-            f"{near:.0%} of the points are within {EGO_RANGE_M:g} m; hits on the ego vehicle? {left:.1%} are kept by "
-            f"input.min_range_m={min_range_m:g}; input.min_range_m={EGO_RANGE_M:g} or input.exclude_box drops them"
+            "one column is spread evenly over a turn, and one is never negative: "
+            "are they angles and ranges?"
         )
     return odd
 
@@ -117,16 +125,19 @@ def implausible(points: FloatArray, side: str, min_range_m: float) -> list[str]:
 def _are_angles(points: FloatArray) -> bool:
     """True if the columns are azimuth, elevation (or angle from the zenith) and range, in degrees or radians."""
     quantiles = np.quantile(points, np.linspace(0.0, 1.0, 5), axis=0)
-    spans = np.ptp(quantiles, axis=0)
+    lowest, _, middle, _, highest = quantiles
+    span = highest - lowest
+    shares = np.diff(quantiles, axis=0) / np.maximum(span, 1e-9)
+    is_even = np.abs(shares - 0.25).max(axis=0) < _EVEN
     for turn, right_angle in ((360.0, 90.0), (2 * np.pi, np.pi / 2)):
-        uneven = np.abs(np.diff(quantiles, axis=0) / np.maximum(spans, 1e-9) - 0.25).max(axis=0)
-        is_azimuth = (spans > 0.9 * turn) & (spans < 1.001 * turn) & (uneven < _EVEN)
+        is_azimuth = is_even & (span > 0.9 * turn) & (span < 1.001 * turn)
         is_small = (np.abs(quantiles) <= right_angle).all(axis=0)
-        is_around_horizon = (quantiles[-1] <= 2 * right_angle) & (
-            np.abs(quantiles[2] - right_angle) < right_angle / 3
+        is_from_horizon = is_small & (lowest < 0)
+        is_from_zenith = (highest <= 2 * right_angle) & (
+            np.abs(middle - right_angle) < right_angle / 3
         )
-        is_elevation = (is_small & (quantiles[0] < 0) | is_around_horizon) & ~is_azimuth
-        is_range = (quantiles[0] >= 0) & ~is_azimuth & ~is_elevation
+        is_elevation = (is_from_horizon | is_from_zenith) & ~is_azimuth
+        is_range = (lowest >= 0) & ~is_azimuth & ~is_elevation
         if is_azimuth.any() and is_elevation.any() and is_range.any():
             return True
     return False
@@ -135,19 +146,11 @@ def _are_angles(points: FloatArray) -> bool:
 def _most_repeated(points: FloatArray) -> tuple[FloatArray, int]:
     """The point that most rows have, and how many."""
     in_order = points[np.lexsort(points.T)]
-    first = np.flatnonzero(np.append(True, (np.diff(in_order, axis=0) != 0).any(axis=1)))
+    is_other = (in_order[1:] != in_order[:-1]).any(axis=1)
+    first = np.flatnonzero(np.append(True, is_other))
     counts = np.diff(first, append=len(points))
     most = counts.argmax()
     return in_order[first[most]], int(counts[most])
-
-
-def _unit(low: FloatArray, high: FloatArray) -> str:
-    """Units in which the points surround a sensor at the usual range, two at most; "" if there are none."""
-    if (low[:2] > 0).any() or (high[:2] < 0).any():
-        return ""
-    reach = np.abs([low, high]).max()
-    fitting = [name for name, factor in _UNITS if reach / factor <= MAX_RANGE_M]
-    return " or ".join(fitting[:2] if "inches" in fitting else fitting[:1])
 
 
 def widest_azimuth_gap_deg(points: FloatArray) -> float:

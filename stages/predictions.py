@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from .arrays import BoolArray, FloatArray, IndexArray
+from .matching import most_pairs
 
 SAME_WITHIN_M = 2.0  #: boxes of one class are the same at this distance of their centres, or nearer
 
@@ -38,12 +38,11 @@ def match_detections(real: Boxes, sim: Boxes) -> IndexArray:
     """
     offset = real.centre[:, None, :2] - sim.centre[None, :, :2]
     distance_m = np.hypot(offset[..., 0], offset[..., 1])
-    is_same = (distance_m <= SAME_WITHIN_M) & (real.names[:, None] == sim.names[None, :])
-    too_far_m = SAME_WITHIN_M * (1 + min(is_same.shape))
-    rows, columns = scipy.optimize.linear_sum_assignment(np.where(is_same, distance_m, too_far_m))
-    is_matched = is_same[rows, columns]
+    is_one_class = real.names[:, None] == sim.names[None, :]
+    is_same = is_one_class & (distance_m <= SAME_WITHIN_M)
+    rows, columns = most_pairs(distance_m, is_same, SAME_WITHIN_M).T
     partner = np.full(len(real.names), -1)
-    partner[rows[is_matched]] = columns[is_matched]
+    partner[rows] = columns
     return partner
 
 
@@ -54,8 +53,8 @@ def inside(points: FloatArray, boxes: Boxes, number: int) -> BoolArray:
     s = np.sin(boxes.yaw[number])
     along = offset[:, 0] * c + offset[:, 1] * s
     across = offset[:, 1] * c - offset[:, 0] * s
-    local = np.abs(np.column_stack([along, across, offset[:, 2]]))
-    return (local <= boxes.size[number] / 2).all(axis=1)
+    local = np.column_stack([along, across, offset[:, 2]])
+    return np.all(np.abs(local) <= boxes.size[number] / 2, axis=1)
 
 
 def lost_auc(scores: FloatArray, is_lost: BoolArray) -> float | None:
@@ -76,7 +75,9 @@ def lost_auc(scores: FloatArray, is_lost: BoolArray) -> float | None:
 
 
 def jackknife_interval(
-    scores: FloatArray, is_lost: BoolArray, scan_of: IndexArray
+    scores: FloatArray,
+    is_lost: BoolArray,
+    scan_of: IndexArray,
 ) -> tuple[float, float] | None:
     """95 % interval of `lost_auc` by leaving out one scan at a time; None for fewer than three.
 
@@ -93,5 +94,6 @@ def jackknife_interval(
     if auc is None or k < 3:
         return None
     values = np.array(without)
-    se = float(np.sqrt((k - 1) / k * np.square(values - values.mean()).sum()))
+    scatter = np.square(values - values.mean()).sum()
+    se = float(np.sqrt((k - 1) / k * scatter))
     return max(auc - 1.96 * se, 0.0), min(auc + 1.96 * se, 1.0)

@@ -58,7 +58,7 @@ def find_reference_objects(
     points: FloatArray,
     edges: Edges,
     settings: CommunitySettings,
-    annotation: Annotation | None = None,
+    annotation: Annotation,
 ) -> IntArray:
     """Object of each point of the real side, (n,) int32, -1 for none; independent of row order.
 
@@ -75,7 +75,7 @@ def find_reference_objects(
     points : (n, 3) float64, metres, at least one
     edges : edges of their graph
     settings : reference, leave_out, seed, backend, reach_m, min_points
-    annotation : annotation of the same points; required for labels and instances
+    annotation : of the same points, as the reference labels or instances requires it
 
     Raises
     ------
@@ -85,20 +85,19 @@ def find_reference_objects(
     order = visiting_order(points, settings.seed)
     if settings.reference == "louvain":
         return find_communities(len(points), edges, settings, order=order)
-    annotation = annotation or Annotation()
     if getattr(annotation, settings.reference) is None:
         raise StageError(
             f'the real scan has no {settings.reference}, which communities.reference = "{settings.reference}" needs: '
             f"{_SOURCES[settings.reference]}; or set communities.reference=louvain"
         )
-    names = ["" for _ in points]
+    names = [""] * len(points)
     if annotation.labels is not None:
         names = ["unlabelled" if label is None else str(label) for label in annotation.labels]
-    classes = np.unique(names, return_inverse=True)[1].ravel()
+    _, classes = np.unique(names, return_inverse=True)
     instances = np.zeros(len(points), dtype=np.int32)
     if settings.reference == "instances" and annotation.instances is not None:
         instances = annotation.instances
-    codes = np.unique(np.column_stack([classes, instances]), axis=0, return_inverse=True)[1].ravel()
+    codes = instances * (classes.max() + 1) + classes
     components = _components(len(points), edges, codes, settings.reach_m)
     components = _merge_small(points, components, codes, settings.min_points)
     objects = canonical_ids(np.where(instances > 0, len(points) + codes, components), order)
@@ -109,7 +108,7 @@ def find_reference_objects(
             f"({', '.join(sorted(set(names)))}); exclude fewer classes"
         )
     objects[~kept] = -1
-    objects[kept] = np.unique(objects[kept], return_inverse=True)[1].ravel()
+    objects[kept] = np.unique(objects[kept], return_inverse=True)[1]
     return objects
 
 
@@ -162,8 +161,10 @@ def visiting_order(points: FloatArray, seed: int) -> IntArray:
     for column in bits.T:
         hashed = murmurhash3_32(column ^ hashed, seed=seed)
     order: IntArray = np.argsort(hashed).astype(np.int32)
-    if np.any(hashed[order[1:]] == hashed[order[:-1]]):
-        order = np.lexsort((*points.T, hashed)).astype(np.int32)
+    hashed_in_order = hashed[order]
+    is_tied = np.isin(hashed_in_order, hashed_in_order[1:][np.diff(hashed_in_order) == 0])
+    tied = order[is_tied]
+    order[is_tied] = tied[np.lexsort((*points[tied].T, hashed[tied]))]
     return order
 
 
@@ -183,14 +184,18 @@ def _merge_small(
     merged = components.copy()
     is_large = np.bincount(components)[components] >= min_points
     for code in np.unique(codes[~is_large]):
-        large = np.flatnonzero((codes == code) & is_large)
-        small = np.flatnonzero((codes == code) & ~is_large)
+        is_code = codes == code
+        large = np.flatnonzero(is_code & is_large)
+        small = np.flatnonzero(is_code & ~is_large)
         if len(large):
             nearest, distance_m = nearest_points(points[large], points[small])
-            closest = np.lexsort((*points[small].T[::-1], distance_m, components[small]))
-            small = small[closest]
+            by_distance = np.lexsort((*points[small].T[::-1], distance_m))
+            small = small[by_distance]
             _, first, of_small = np.unique(
-                components[small], return_index=True, return_inverse=True
+                components[small],
+                return_index=True,
+                return_inverse=True,
             )
-            merged[small] = components[large[nearest[closest[first]]]][of_small]
+            closest = large[nearest[by_distance[first]]]
+            merged[small] = components[closest][of_small]
     return merged

@@ -31,7 +31,6 @@ from .trust import (
     find_misses,
     image_text,
     later_returns,
-    misses_text,
     returns_text,
     rounding_of,
     sweeps_text,
@@ -169,9 +168,10 @@ def describe_with_gaps(
     rows = np.flatnonzero(is_return)
     sensor = SensorDescription(len(rows))
     range_m = np.linalg.norm(points[rows], axis=1)
-    if misses := find_misses(range_m):
-        sensor.doubts[MISSES] = misses_text(misses)
-        rows = rows[range_m <= misses[-1].limit_m]
+    limit_m, misses = find_misses(range_m)
+    if misses:
+        sensor.doubts[MISSES] = misses
+        rows = rows[range_m <= limit_m]
     if len(rows) < _MIN_POINTS:
         sensor.untold["elevation_deg"] = f"{len(rows)} returns, at least {_MIN_POINTS} are needed"
         return sensor, NO_GAPS
@@ -202,23 +202,9 @@ def _describe_beams(
     sensor: SensorDescription, points: FloatArray, pattern: BeamPattern, rounding_m: float
 ) -> tuple[SensorDescription, SurfaceGaps]:
     """The description with all that follows from the beams, and the gaps of lost pulses between the points."""
-    sweep = sweep_of(points, pattern)
-    is_later = later_returns(sweep)
-    returns = returns_text(is_later)
-    if returns:
-        sweep = sweep.first_returns(is_later)
-    step = _azimuth_step(sweep)
-    if several := _not_one_sweep_text(sweep, step, pattern):
-        step = sensor.doubts[ONE_SWEEP] = several
-    else:
-        if returns:
-            sensor.doubts[RETURNS] = returns
-        if thinned := thinned_text(sweep, points):
-            step = sensor.doubts[BEAMS] = thinned
-    estimates: dict[str, Any] = {
-        "azimuth_step_deg": step,
-        "range_quantum_m": _range_quantum(sweep, rounding_m),
-    }
+    sweep, step = _sweep_and_step(sensor.doubts, points, pattern)
+    quantum = _range_quantum(sweep, rounding_m)
+    estimates: dict[str, Any] = {"azimuth_step_deg": step, "range_quantum_m": quantum}
     gaps = NO_GAPS
     if not isinstance(step, str):
         noise = _range_noise(sweep, step)
@@ -252,6 +238,27 @@ def _describe_beams(
         **known,
     )
     return sensor, gaps
+
+
+def _sweep_and_step(
+    doubts: dict[str, str], points: FloatArray, pattern: BeamPattern
+) -> tuple[Sweep, float | str]:
+    """First returns of a scan, and their azimuth step or the reason why it is unknown; adds doubts about both."""
+    sweep = sweep_of(points, pattern)
+    is_later = later_returns(sweep)
+    returns = returns_text(is_later)
+    if returns:
+        sweep = sweep.first_returns(is_later)
+    step = _azimuth_step(sweep)
+    if several := _not_one_sweep_text(sweep, step, pattern):
+        doubts[ONE_SWEEP] = several
+        return sweep, several
+    if returns:
+        doubts[RETURNS] = returns
+    if thinned := thinned_text(sweep, points):
+        doubts[BEAMS] = thinned
+        return sweep, thinned
+    return sweep, step
 
 
 def _not_one_sweep_text(sweep: Sweep, step: float | str, pattern: BeamPattern) -> str | None:
@@ -377,7 +384,8 @@ def _range_quantum(sweep: Sweep, rounding_m: float) -> float | str:
         return f"too few returns nearer than {_QUANTUM_RANGE_M:g} m"
 
     def is_multiple(quantum: float) -> bool:
-        turn = 2 * np.pi * range_m / quantum
+        n_quanta = range_m / quantum
+        turn = (2 * np.pi * (n_quanta - np.floor(n_quanta))).astype(np.float32)  # cosines are fast
         length = np.hypot(np.bincount(beam, np.cos(turn)), np.bincount(beam, np.sin(turn)))
         return bool(length[used].sum() / n_returns[used].sum() >= 0.7)
 
@@ -394,13 +402,14 @@ def _range_noise(sweep: Sweep, step_deg: float) -> float | str:
     if len(runs) < _FEWEST_RUNS:
         runs, azimuth_deg = _runs_on_surface(sweep, (_RUN_STEPS + 0.5) * step_deg)
         place = azimuth_deg - azimuth_deg.mean(axis=1, keepdims=True)
+        runs = runs[:, None]
     if len(runs) < _FEWEST_RUNS:
         return (
             f"{len(runs)} runs of {_RUN} returns on a surface, at least {_FEWEST_RUNS} are needed"
         )
     basis = np.linalg.qr(np.stack([np.ones_like(place), place, place**2], axis=-1))[0]
-    fit = (runs[:, None] @ basis @ np.swapaxes(basis, -1, -2))[:, 0]
-    rms = np.sqrt(((runs - fit) ** 2).sum(axis=1) / (_RUN - 3))
+    fit = runs @ basis @ np.swapaxes(basis, -1, -2)
+    rms = np.sqrt(((runs - fit) ** 2).sum(axis=-1) / (_RUN - 3))
     return round(float(np.quantile(rms, 0.25)) / _RUN_QUARTILE, 4)
 
 
@@ -419,11 +428,11 @@ def _least_range_noise(sweep: Sweep, step_deg: float, noise_m: float | str) -> f
 def _runs_on_surface(sweep: Sweep, most_deg: float) -> tuple[FloatArray, FloatArray]:
     """Ranges and azimuths, (n, 9) each, of returns of a beam in a row with at most this gap from one to the next."""
     has_no_gap = np.nan_to_num(sweep.gap_deg, nan=np.inf) < most_deg
-    is_run = sliding_window_view(has_no_gap, _RUN - 1).all(axis=1)
-    range_m = sliding_window_view(sweep.range_m, _RUN)[is_run]
-    azimuth_deg = sliding_window_view(sweep.azimuth_deg, _RUN)[is_run]
-    is_surface = np.ptp(range_m, axis=1) < 0.05 * range_m.mean(axis=1)
-    return range_m[is_surface], azimuth_deg[is_surface]
+    is_run = sliding_window_view(has_no_gap, _RUN - 1).T.all(axis=0)
+    range_m = sliding_window_view(sweep.range_m, _RUN)
+    azimuth_deg = sliding_window_view(sweep.azimuth_deg, _RUN)
+    is_run &= np.ptp(range_m.T, axis=0) < 0.05 * range_m.T.mean(axis=0)  # on surface
+    return range_m[is_run], azimuth_deg[is_run]
 
 
 def _surface_firings(sweep: Sweep, step_deg: float) -> IndexArray:

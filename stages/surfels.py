@@ -32,7 +32,8 @@ class LocalPlanes:
     @property
     def scattering(self) -> FloatArray:
         """l3 / l1 (Demantke et al., ISPRS 2011): 0 on a plane or a line, 1 for equal variance on all axes."""
-        return self.variance[:, 0] / np.maximum(self.variance[:, 2], 1e-300)
+        smallest, _, largest = self.variance.T
+        return smallest / np.maximum(largest, 1e-300)
 
     @property
     def is_line(self) -> BoolArray:
@@ -85,11 +86,14 @@ def fit_planes(
         is_near = np.isfinite(distance_m)
         share = 2 * np.where(is_near, distance_m, 0.0) / reach_m
         weight = is_near * np.exp(-(share**2))
-        total = np.maximum(weight.sum(axis=1), 1e-300)[:, None]
-        offset = points[np.where(is_near, ids, 0)] - place[:, None]
+        total = np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
+        neighbours = points.take(np.where(is_near, ids, 0), axis=0)
+        offset = neighbours - place[:, None]
         mean = np.einsum("nk,nkd->nd", weight, offset) / total
-        centred = (offset - mean[:, None]) * np.sqrt(weight / total)[..., None]
-        variance, axes = np.linalg.eigh(centred.transpose(0, 2, 1) @ centred)
+        scale = np.sqrt(weight / total)
+        centred = (offset - mean[:, None]) * scale[..., None]
+        covariance = centred.transpose(0, 2, 1) @ centred
+        variance, axes = np.linalg.eigh(covariance)
         planes.mean[rows] += mean
         planes.normal[rows] = axes[:, :, 0]
         planes.variance[rows] = np.maximum(variance, 0.0)
@@ -110,7 +114,11 @@ def voxel_means(points: FloatArray, edge_m: float) -> FloatArray:
     >>> voxel_means(np.array([[0.1, 0, 0], [0.3, 0, 0], [1.5, 0, 0]]), 1.0).tolist()
     [[0.2, 0.0, 0.0], [1.5, 0.0, 0.0]]
     """
-    _, ids, n_points = np.unique(voxel_ids(points, edge_m), return_inverse=True, return_counts=True)
+    _, ids, n_points = np.unique(
+        voxel_ids(points, edge_m),
+        return_inverse=True,
+        return_counts=True,
+    )
     return sums_by_id(points, ids, len(n_points)) / n_points[:, None]
 
 
@@ -123,4 +131,5 @@ def voxel_ids(points: FloatArray, edge_m: float) -> IndexArray:
     edge_m : of a voxel
     """
     cells = np.floor(points / edge_m).astype(np.int64) + 2**20
-    return (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
+    x, y, z = cells.T
+    return (x << 42) | (y << 21) | z

@@ -1,4 +1,4 @@
-"""The returns of a scan in the order in which its beams were fired."""
+"""The returns of a scan by beam and azimuth, in which order a beam fires."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .arrays import BoolArray, FloatArray, IndexArray, azimuths_deg, level_m
+from .arrays import BoolArray, FloatArray, IndexArray, azimuths_deg, level_m, sorted_rows
 from .beam_patterns import BeamPattern
 
 
@@ -29,7 +29,8 @@ class Sweep:
     @property
     def gap_deg(self) -> FloatArray:
         """Azimuth from each return to the next, (m - 1,) float64; NaN if the next is of another beam."""
-        return np.where(np.diff(self.beam) == 0, np.diff(self.azimuth_deg), np.nan)
+        is_same_beam = np.diff(self.beam) == 0
+        return np.where(is_same_beam, np.diff(self.azimuth_deg), np.nan)
 
     @property
     def nearer_m(self) -> FloatArray:
@@ -42,14 +43,19 @@ class Sweep:
         return np.abs(np.diff(self.range_m))
 
     def first_returns(self, is_later: BoolArray) -> Sweep:
-        """The nearest of each group of returns that follow each other in one direction."""
+        """The nearest return of each ray.
+
+        Parameters
+        ----------
+        is_later : (m,) bool, True for returns of the same ray as the one before; see `trust.later_returns`
+        """
         ray = np.cumsum(~is_later)
         order = np.lexsort((self.range_m, ray))
-        first = np.sort(order[np.flatnonzero(np.diff(ray[order], prepend=0))])
-        return self.chosen(first)
+        _, first = np.unique(ray[order], return_index=True)
+        return self.chosen(np.sort(order[first]))
 
     def chosen(self, rows: IndexArray | slice) -> Sweep:
-        """Some of the returns."""
+        """The returns of these rows, in their order."""
         return Sweep(*(values[rows] for values in vars(self).values()))
 
 
@@ -58,9 +64,12 @@ def sweep_of(points: FloatArray, pattern: BeamPattern) -> Sweep:
     beam, off_deg = pattern.beam_of(points)
     row = np.flatnonzero(beam >= 0)
     points = points[row]
-    azimuth_deg = azimuths_deg(points)
     level = level_m(points) - pattern.focal_m
-    range_m = np.sqrt(level**2 + points[:, 2] ** 2)
-    order = np.lexsort((range_m, azimuth_deg, beam[row]))
-    row = row[order]
-    return Sweep(beam[row], off_deg[row], azimuth_deg[order], range_m[order], row)
+    sweep = Sweep(
+        beam=beam[row],
+        off_deg=off_deg[row],
+        azimuth_deg=azimuths_deg(points),
+        range_m=np.sqrt(level**2 + points[:, 2] ** 2),
+        row=row,
+    )
+    return sweep.chosen(sorted_rows(sweep.beam, sweep.azimuth_deg, sweep.range_m))

@@ -146,7 +146,8 @@ def find_obstacles(scan: CutScan, settings: TaskSettings) -> Obstacles:
     high = -low
     np.minimum.at(low, cluster_of, points)
     np.maximum.at(high, cluster_of, points)
-    order = np.argsort(level_m((low + high) / 2), kind="stable")
+    distance_m = level_m((low + high) / 2)
+    order = np.argsort(distance_m, kind="stable")
     order = order[n_points[order] >= settings.min_points]
     number_of = np.full(len(n_points) + 1, -1)  # the last is of points without a cluster
     number_of[order] = np.arange(len(order))
@@ -169,7 +170,9 @@ def _clusters(points: FloatArray, link_m: float) -> IndexArray:
     range_m = np.linalg.norm(points, axis=1)
     scaled = points / (1 + range_m / _DOUBLE_AT_M)[:, None]
     _, cell, n_in_cell = np.unique(
-        voxel_ids(scaled, link_m / _CELLS_PER_LINK), return_inverse=True, return_counts=True
+        voxel_ids(scaled, link_m / _CELLS_PER_LINK),
+        return_inverse=True,
+        return_counts=True,
     )
     means = sums_by_id(scaled, cell, len(n_in_cell)) / n_in_cell[:, None]
     dbscan = DBSCAN(eps=link_m, min_samples=_CORE_POINTS)
@@ -178,12 +181,13 @@ def _clusters(points: FloatArray, link_m: float) -> IndexArray:
 
 def box_iou(a: Obstacles, b: Obstacles) -> FloatArray:
     """|A n B| / |A u B| of all boxes seen from above, enlarged by 0.1 m, (m, k)."""
-    low = np.maximum(a.low[:, None, :2], b.low[None, :, :2]) - _MARGIN_M
-    high = np.minimum(a.high[:, None, :2], b.high[None, :, :2]) + _MARGIN_M
-    common = np.maximum(high - low, 0.0).prod(axis=2)
-    a_area = (a.size_m[:, :2] + 2 * _MARGIN_M).prod(axis=1)
-    b_area = (b.size_m[:, :2] + 2 * _MARGIN_M).prod(axis=1)
-    union = a_area[:, None] + b_area[None, :] - common
+    low = np.maximum(a.low[:, None], b.low) - _MARGIN_M
+    high = np.minimum(a.high[:, None], b.high) + _MARGIN_M
+    extent = np.maximum(high - low, 0.0)
+    common = extent[..., :2].prod(axis=2)
+    a_extent = a.size_m[:, :2] + 2 * _MARGIN_M
+    b_extent = b.size_m[:, :2] + 2 * _MARGIN_M
+    union = a_extent.prod(axis=1)[:, None] + b_extent.prod(axis=1) - common
     return common / union
 
 
@@ -232,13 +236,15 @@ def compare_occupancy(real: CutScan, sim: CutScan, settings: TaskSettings) -> tu
     """
     real_occupied, real_free = _map(real, settings)
     sim_occupied, sim_free = _map(sim, settings)
+    is_other = real_occupied != sim_occupied
     gaps = {
-        "mismatch": _share(real_occupied != sim_occupied, real_occupied | sim_occupied),
-        "wrongly_free": _share(sim_free, real_occupied),
-        "wrongly_occupied": _share(real_free, sim_occupied),
+        "mismatch": _share(is_other[real_occupied | sim_occupied]),
+        "wrongly_free": _share(sim_free[real_occupied]),
+        "wrongly_occupied": _share(real_free[sim_occupied]),
     }
-    real_m2 = int(real_occupied.sum()) * settings.cell_m**2
-    sim_m2 = int(sim_occupied.sum()) * settings.cell_m**2
+    cell_m2 = settings.cell_m**2
+    real_m2 = int(real_occupied.sum()) * cell_m2
+    sim_m2 = int(sim_occupied.sum()) * cell_m2
     return tuple(Gap("occupancy", name, real_m2, sim_m2, gap) for name, gap in gaps.items())
 
 
@@ -249,8 +255,11 @@ def compare_free_space(real: CutScan, sim: CutScan, settings: TaskSettings) -> t
 
     over the directions in which a side has an obstacle. `real` and `sim` are the median distances.
     """
-    both_m = np.stack([_first_obstacle_m(scan, settings) for scan in (real, sim)])
-    real_m, sim_m = both_m[:, both_m.min(axis=0) < settings.range_m]
+    real_m = _first_obstacle_m(real, settings)
+    sim_m = _first_obstacle_m(sim, settings)
+    has_obstacle = np.minimum(real_m, sim_m) < settings.range_m
+    real_m = real_m[has_obstacle]
+    sim_m = sim_m[has_obstacle]
     error_m = median_of(np.abs(sim_m - real_m))
     return (
         Gap("free_space", "distance_m", median_of(real_m), median_of(sim_m), error_m, "m"),
@@ -264,8 +273,13 @@ def _is_obstacle(scan: CutScan, settings: TaskSettings) -> BoolArray:
 
 
 def _within(scan: CutScan, range_m: float) -> CutScan:
+    """The points of a scan within a horizontal distance."""
     is_near = level_m(scan.points) <= range_m
-    return CutScan(scan.points[is_near], scan.is_ground[is_near], scan.height_m[is_near])
+    return CutScan(
+        scan.points[is_near],
+        scan.is_ground[is_near],
+        scan.height_m[is_near],
+    )
 
 
 def _unmatched(measure: str, obstacles: Obstacles, range_m: float) -> list[Gap]:
@@ -279,7 +293,8 @@ def _unmatched(measure: str, obstacles: Obstacles, range_m: float) -> list[Gap]:
     groups = {ALL: is_near}
     for limits_m, values_m in ((SIZES_M, longer_m), (DISTANCES_M, obstacles.range_m)):
         group_of = np.digitize(values_m, [*limits_m.values()]) - 1
-        groups |= {name: is_near & (group_of == i) for i, name in enumerate(limits_m)}
+        for i, name in enumerate(limits_m):
+            groups[name] = is_near & (group_of == i)
     gaps = []
     for group, chosen in groups.items():
         is_lost = obstacles.partner[chosen] < 0
@@ -292,25 +307,37 @@ def _unmatched(measure: str, obstacles: Obstacles, range_m: float) -> list[Gap]:
 
 def _errors(real: Obstacles, sim: Obstacles, range_m: float) -> list[Gap]:
     """Errors of size and place of the found obstacles."""
-    rows = np.flatnonzero((real.partner >= 0) & (real.range_m <= range_m))
+    is_found = real.partner >= 0
+    rows = np.flatnonzero(is_found & (real.range_m <= range_m))
     columns = real.partner[rows]
     real_m = real.size_m[rows, :2]
     sim_m = sim.size_m[columns, :2]
-    error_m = median_of(np.abs(real_m - sim_m).max(axis=1))
-    longer_m = (median_of(real_m.max(axis=1)), median_of(sim_m.max(axis=1)))
-    apart_m = np.linalg.norm(real.centre[rows, :2] - sim.centre[columns, :2], axis=1)
+    error_m = np.abs(real_m - sim_m).max(axis=1)
+    offset_m = real.centre[rows, :2] - sim.centre[columns, :2]
+    apart_m = np.linalg.norm(offset_m, axis=1)
     return [
-        Gap("objects", "size_m", *longer_m, error_m, "m"),
+        Gap(
+            "objects",
+            "size_m",
+            median_of(real_m.max(axis=1)),
+            median_of(sim_m.max(axis=1)),
+            median_of(error_m),
+            "m",
+        ),
         Gap("objects", "place_m", None, None, median_of(apart_m), "m"),
     ]
 
 
-def _ground_on_common_surface(scan: CutScan, other: CutScan) -> tuple[float | None, float | None]:
-    """Shares of ground, and of points whose nearest one has another flag; None without any."""
+def _ground_on_common_surface(
+    scan: CutScan,
+    other: CutScan,
+) -> tuple[float | None, float | None]:
+    """Among points near the other side, the share of ground, and of those whose nearest point disagrees; or None."""
     nearest = counterparts(scan.points, other.points)
     is_seen = nearest >= 0
     is_ground = scan.is_ground[is_seen]
-    return _share(is_ground), _share(is_ground != other.is_ground[nearest[is_seen]])
+    is_wrong = is_ground != other.is_ground[nearest[is_seen]]
+    return _share(is_ground), _share(is_wrong)
 
 
 def _height_error_m(real: CutScan, sim: CutScan) -> float | None:
@@ -372,12 +399,11 @@ def _cells(points: FloatArray, half: int, settings: TaskSettings) -> BoolArray:
     """Cells of the map, (2 half, 2 half), that hold a point."""
     is_filled = np.zeros((2 * half, 2 * half), dtype=bool)
     cell = np.floor(points[:, :2] / settings.cell_m).astype(int) + half
-    cell = np.clip(cell, 0, 2 * half - 1)
-    is_filled[cell[:, 0], cell[:, 1]] = True
+    rows, columns = np.clip(cell, 0, 2 * half - 1).T
+    is_filled[rows, columns] = True
     return is_filled
 
 
-def _share(flags: BoolArray, is_counted: BoolArray | slice = slice(None)) -> float | None:
-    """Share of the counted flags that are set; None without any."""
-    counted = flags[is_counted]
-    return float(counted.mean()) if counted.size else None
+def _share(flags: BoolArray) -> float | None:
+    """Share of the flags that are set; None without any."""
+    return float(flags.mean()) if flags.size else None

@@ -1,4 +1,4 @@
-"""Thinning of a cloud: of each voxel the first point."""
+"""Downsampling of a cloud to the first point of each voxel."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from .arrays import BoolArray, FloatArray
 
-#: Edges that are proposed for clouds with too many points, metres.
+#: Edges of voxels that are proposed for clouds with too many points, metres.
 VOXELS_M = (0.05, 0.1, 0.2, 0.4, 0.8)
 
 
@@ -22,7 +22,8 @@ def repeats_earlier_row(rows: FloatArray) -> BoolArray:
     order = np.lexsort(rows.T)  # stable, so that of equal rows the first comes first
     in_order = rows[order]
     repeats = np.zeros(len(rows), dtype=bool)
-    repeats[order[1:]] = np.logical_and.reduce(in_order[1:] == in_order[:-1], axis=1)
+    is_equal = in_order[1:] == in_order[:-1]
+    repeats[order[1:]] = is_equal.all(axis=1)
     return repeats
 
 
@@ -38,12 +39,12 @@ def shares_voxel(points: FloatArray, voxel_m: float) -> BoolArray:
 
 
 def smallest_voxel(points: FloatArray, fits: Callable[[FloatArray], bool]) -> float | None:
-    """The smallest of `VOXELS_M` that thins the points so far that they fit; None if none does.
+    """The smallest of `VOXELS_M` that leaves few enough points; None if each leaves too many.
 
     Parameters
     ----------
     points : (n, 3) float64, metres
-    fits : True for points that are few enough
+    fits : returns True if these points are few enough
 
     Examples
     --------
@@ -52,6 +53,7 @@ def smallest_voxel(points: FloatArray, fits: Callable[[FloatArray], bool]) -> fl
     0.1
     """
     for voxel_m in VOXELS_M:
-        if fits(points[~shares_voxel(points, voxel_m)]):
+        thinned = points[~shares_voxel(points, voxel_m)]
+        if fits(thinned):
             return voxel_m
     return None

@@ -69,7 +69,9 @@ def test_a_script_of_twelve_lines_does_the_same_in_python(tmp_path, monkeypatch,
     text = capsys.readouterr().out
     assert "worse 2 pairs of 2 places" in text
     assert names["comparison"].causes.words[0] == "world 11 cm too low"
-    assert list(names["comparison"].table["name"])[:1] == [names["comparison"].scores[0].name]
+    assert list(names["comparison"].table["name"])[:1] == [
+        names["comparison"].families[0].scores[0].name
+    ]
     assert names["diagnosed"].diagnosis.n_pairs == 2
 
 
@@ -132,6 +134,7 @@ def test_the_intervals_of_the_tutorial_are_as_it_says(tmp_path, monkeypatch):
     ]
     exec(change, {})
     found = fidpipe.compare("streets", "streets-build2", workers=None).causes.set_index("name")
-    bias, lost = found.loc["range bias"], found.loc["lost returns"]
+    bias = found.loc["range bias"]
+    lost = found.loc["lost returns"]
     assert bias.low < 0.10 < bias.high
     assert 0.28 < lost.high < 1 / 3

@@ -54,14 +54,12 @@ def test_every_stage_has_a_picture_and_all_that_is_shown_is_there():
         page("index"),
         *map(page, STAGE_NAMES),
     ]
-    shown = {name for text in texts for name in re.findall(r"pictures/([\w.]+\.png)\)", text)}
+    shown = set(re.findall(r"pictures/([\w.]+\.png)\)", "\n".join(texts)))
     assert shown == {
         path.name for path in (DOCS / "pictures").iterdir() if not path.name.startswith("read_")
     }
-    assert shown == {
-        f"{name}.png"
-        for name in ("pipeline", *STAGE_NAMES, *(example.name for example in EXAMPLES))
-    }
+    examples = [example.name for example in EXAMPLES]
+    assert shown == {f"{name}.png" for name in ("pipeline", *STAGE_NAMES, *examples)}
 
 
 @pytest.mark.exhaustive

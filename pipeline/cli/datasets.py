@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import EXIT_PAIRS_FAILED, Assignments, Count, LocalWorkers, Replace, Seed
+from .options import EXIT_PAIRS_FAILED, Assignments, Count, LocalWorkers, Pairs, Replace, Seed
 from .output import print_line
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ def synth(
     pairs: Count = 50,
     seed: Seed = 0,
     sensor: str = "vlp32c",
-    points: Annotated[int | None, typer.Option(min=100, show_default="that of the sensor")] = None,
+    points: Annotated[int | None, typer.Option(min=100)] = None,
     workers: LocalWorkers = 1,
     replace: Replace = False,
 ) -> None:
@@ -37,7 +37,7 @@ def synth(
     pairs : Number of streets, and so of pairs.
     seed : Seed of the streets.
     sensor : Model of the sensor: vlp32c, hdl64, os1-64, carla or another of docs/sensors.md.
-    points : Approximate number of points per real scan.
+    points : Approximate number of points per real scan, else that of the sensor.
 
     For example:
 
@@ -70,12 +70,10 @@ def twin(
     out: Path,
     flaw: Annotated[list[str] | None, typer.Option(metavar="NAME=AMOUNT")] = None,
     sensor: str = "recorded",
-    poses: Annotated[
-        Path | None, typer.Option(show_default="pairs.csv, poses.tum or poses.txt")
-    ] = None,
-    calib: Annotated[Path | None, typer.Option(show_default="calib.txt")] = None,
+    poses: Path | None = None,
+    calib: Path | None = None,
     others: Annotated[int, typer.Option(min=2)] = 4,
-    pairs: Annotated[str | None, typer.Option(metavar="PATTERN")] = None,
+    pairs: Pairs = None,
     seed: Seed = 0,
     assignments: Assignments = None,
     workers: LocalWorkers = 1,
@@ -94,8 +92,8 @@ def twin(
     out : Folder of the dataset; new, empty, or made by twin.
     flaw : Known flaw of all twins; repeatable.
     sensor : recorded (beams as in the recording), vlp32c, hdl64, os1-64, carla and others.
-    poses : TUM or KITTI poses.
-    calib : KITTI's calibration, with Tr.
+    poses : TUM or KITTI poses, else pairs.csv, poses.tum or poses.txt.
+    calib : KITTI's calibration with Tr, else calib.txt.
     others : Number of nearest other frames in each model.
     pairs : Only frames whose name matches, such as '*[02468]'.
     seed : Seed of the random numbers.
@@ -149,14 +147,12 @@ def _print_made(n_pairs: int, out: Path) -> None:
 def pair(
     real: Path,
     sim: Path,
-    out: Annotated[Path, typer.Option("--out", "-o", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", "-o")],
     tolerance: Annotated[float, typer.Option(min=1e-6)] = 0.05,
-    offset: Annotated[
-        float | None, typer.Option(show_default="the one that pairs most frames")
-    ] = None,
+    offset: float | None = None,
     every: Count = 1,
     start: Annotated[float, typer.Option("--from")] = 0.0,
-    stop: Annotated[float | None, typer.Option("--to", show_default="all")] = None,
+    stop: Annotated[float | None, typer.Option("--to")] = None,
     replace: bool = False,
 ) -> None:
     """Make a dataset from simultaneous frames of two recordings; nothing is copied.
@@ -169,7 +165,7 @@ def pair(
     sim : Bag, capture or folder of scans of the simulator.
     out : Folder of the dataset.
     tolerance : Largest time between the two frames of a pair, seconds.
-    offset : Seconds added to simulated times.
+    offset : Seconds added to simulated times, else those that pair most frames.
     every : Only every Nth pair.
     start : Only pairs from here on, seconds after the first.
     stop : Only pairs up to here, seconds after the first.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,7 +11,6 @@ import typer
 from .options import (
     AsJson,
     Assignments,
-    BestCase,
     RunFolder,
     Scheduler,
     Workers,
@@ -28,7 +28,6 @@ def diagnose(
     scheduler: Scheduler = None,
     since: Annotated[Path | None, typer.Option(metavar="RUN")] = None,
     tell_apart: bool = False,
-    best_case: BestCase = None,
     assignments: Assignments = None,
     as_json: AsJson = False,
 ) -> None:
@@ -49,7 +48,6 @@ def diagnose(
         need no pairs.
     since : Run of an earlier build on the same real scans.
     tell_apart : Test if a classifier can distinguish real and simulated points.
-    best_case : With --tell-apart: best case whose second measurements are compared.
 
     Examples
     --------
@@ -66,9 +64,9 @@ def diagnose(
     if tell_apart:
         if since:
             raise typer.BadParameter("--since is for causes; leave out --tell-apart")
-        _tell_apart(sources, best_case, assignments, as_json=as_json)
+        _tell_apart(sources, assignments, as_json=as_json)
         return
-    if len(sources) > 1 or best_case or assignments:
+    if len(sources) > 1 or assignments:
         raise typer.BadParameter("expected one run and no option of --tell-apart")
     from ..diagnose.diagnose import diagnose_run
     from ..diagnose.diagnosis_view import diagnosis_view
@@ -81,7 +79,7 @@ def diagnose(
         from ..report.views.compare_view import changed_since
         from ..results.compare import compare_runs
 
-        (comparison,) = compare_runs([since, sources[0]], reporter=Reporter())
+        (comparison,) = compare_runs([since, sources[0]])
         view += changed_since(comparison)
         values |= {"since": str(since), "changes": comparison.as_dict()["causes"]}
     if as_json:
@@ -90,9 +88,7 @@ def diagnose(
         print_view(view)
 
 
-def _tell_apart(
-    sources: list[Path], best_case: Path | None, assignments: list[str] | None, *, as_json: bool
-) -> None:
+def _tell_apart(sources: list[Path], assignments: list[str] | None, *, as_json: bool) -> None:
     from ...schemas.settings import load
     from ..diagnose.diagnosis_view import tell_apart_view
     from ..diagnose.tell_apart import tell_apart_folders, tell_apart_run
@@ -101,11 +97,10 @@ def _tell_apart(
     if len(sources) == 1:
         if assignments:
             raise typer.BadParameter("a run has its settings; leave out --set")
-        second = FinishedRun(best_case) if best_case else None
-        values = tell_apart_run(FinishedRun(sources[0]), second)
+        values = tell_apart_run(FinishedRun(sources[0]))
     else:
-        if len(sources) > 2 or best_case:
-            raise typer.BadParameter("expected one run, or two folders without --best-case")
+        if len(sources) > 2:
+            raise typer.BadParameter("expected one run, or two folders")
         values = tell_apart_folders(sources[0], sources[1], load(None, assignments or []))
     if as_json:
         print_json({"tell_apart": values})
@@ -156,14 +151,15 @@ def tasks(
     if predictions:
         agreement = compare_predictions(finished, *predictions)
         view = views.agreement_view(agreement)
-        values: JsonValue = agreement.as_dict()
+        values: JsonValue = asdict(agreement)
     elif odometry:
         rows = compare_odometry(finished)
         view = views.odometry_view(rows)
         values = [*rows]
     else:
-        view = tasks_view(finished.task_summaries)
-        values = [summary.as_dict() for summary in finished.task_summaries]
+        finished.refuse_without_tasks()
+        view = tasks_view(finished.record.tasks)
+        values = [summary.as_dict() for summary in finished.record.tasks]
     if as_json:
         print_json(values)
     else:

@@ -12,10 +12,10 @@ from .options import (
     Assignments,
     Count,
     DatasetFolder,
-    HiddenSeed,
     Pairs,
     Preset,
     Replace,
+    Seed,
     SettingsFile,
     Workers,
 )
@@ -24,17 +24,16 @@ from .output import print_outcome
 
 def perturb(
     source: Path,
-    out: Annotated[Path | None, typer.Option(show_default="runs/NAME-perturb")] = None,
+    out: Path | None = None,
     sweep: Annotated[list[str] | None, typer.Option(metavar="KIND[=AMOUNTS]")] = None,
-    metrics: Annotated[str | None, typer.Option(metavar="chamfer,emd")] = None,
     repeats: Count = 20,
     global_repeats: Annotated[int, typer.Option(min=0)] = 5,
-    seed: HiddenSeed = 0,
+    seed: Seed = 0,
     preset: Preset = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
     workers: Workers = None,
-    pairs: Annotated[str | None, typer.Option(metavar="PATTERN")] = None,
+    pairs: Pairs = None,
     replace: Replace = False,
 ) -> None:
     """Alter a real scan in known ways and see how the scores respond: the paper's Table I.
@@ -46,9 +45,8 @@ def perturb(
     Parameters
     ----------
     source : A scan file, or a dataset's folder.
-    out : Folder of the results.
+    out : Folder of the results, else runs/NAME-perturb.
     sweep : One kind; repeatable.
-    metrics : Baseline metrics, or all.
     repeats : Trials per level on an object.
     global_repeats : Trials on the whole scan.
     seed : Seed of all trials.
@@ -64,14 +62,13 @@ def perturb(
 
     fidpipe perturb scan.bin --sweep rigid=0:1,0.1:5        metres:degrees
 
-    fidpipe perturb scan.bin --metrics all --global-repeats 0    baselines of single objects as well
+    fidpipe perturb scan.bin --set metrics.baselines=all --global-repeats 0    also baseline metrics
     """
     from ...schemas.settings import load
     from ..engine.progress import Reporter
     from ..paper.experiment_views import show_perturbations
     from ..paper.perturb import AMOUNTS, PerturbRequest, parse_levels, perturb_source
 
-    baselines = [] if metrics is None else [f"metrics.baselines={metrics}"]
     request = PerturbRequest(
         levels=parse_levels(["null", *(sweep or AMOUNTS)]),
         repeats=repeats,
@@ -81,7 +78,7 @@ def perturb(
     outcome = perturb_source(
         source,
         out or _experiment_folder(source, "perturb"),
-        load(settings, [*(assignments or []), *baselines], preset=preset),
+        load(settings, assignments or [], preset=preset),
         Reporter(),
         request,
         pattern=pairs,
@@ -93,7 +90,7 @@ def perturb(
 
 def ablate(
     dataset: DatasetFolder,
-    out: Annotated[Path | None, typer.Option(show_default="runs/NAME-ablate")] = None,
+    out: Path | None = None,
     k: Annotated[str | None, typer.Option(metavar="30,60,90")] = None,
     tau: Annotated[str | None, typer.Option(metavar="0.1,0.2")] = None,
     delta: Annotated[str | None, typer.Option(metavar="3,5")] = None,
@@ -113,7 +110,7 @@ def ablate(
 
     Parameters
     ----------
-    out : Folder of the results.
+    out : Folder of the results, else runs/NAME-ablate.
     k : Values of graph.k. Default: 30,60,90,120,150.
     tau : Values of graph.tau_m, metres. Default: 0.1,0.2,0.3,0.5.
     delta : Values of matching.delta_m, metres. Default: 1,3,5,7,10.

@@ -13,7 +13,6 @@ from .options import (
     AsJson,
     Assignments,
     BestCase,
-    OutFile,
     Preset,
     RunFolder,
     SettingsFile,
@@ -25,7 +24,8 @@ from .output import print_json, print_view
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from ..results.gate import Check, Judged
+    from ..results.compare import Comparison
+    from ..results.gate import BaseResult, Check, Judged
 
 
 def gate(
@@ -34,7 +34,7 @@ def gate(
     at_least: Annotated[list[str] | None, typer.Option("--min", metavar="MEASURE=NUMBER")] = None,
     criteria: Path | None = None,
     best_case: BestCase = None,
-    out: Annotated[Path | None, typer.Option(show_default="the run's own")] = None,
+    out: Path | None = None,
 ) -> None:
     """Check a run against acceptance criteria; exits with 0 if all are met, with 4 if not.
 
@@ -54,7 +54,7 @@ def gate(
     at_most : Upper bound of a measure; repeatable.
     at_least : Lower bound of a measure; repeatable.
     criteria : TOML file of criteria, each with a name and a reason.
-    out : Folder for gate.xml and gate.json.
+    out : Folder for gate.xml and gate.json, else the run's own.
 
     Examples
     --------
@@ -85,8 +85,8 @@ def gate(
 
 def compare(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN_A RUN_B")],
-    html: OutFile = None,
-    out: Annotated[Path | None, typer.Option(metavar="DIR")] = None,
+    html: Path | None = None,
+    out: Path | None = None,
     as_json: AsJson = False,
     fail_on: Literal["worse", "undecided"] | None = None,
     undecided_ok: bool = False,
@@ -109,9 +109,9 @@ def compare(
 
     Parameters
     ----------
-    runs : Up to eight runs, the first is the base; or datasets, or real scans and several simulated
+    runs : Two or more runs, the first is the base; or datasets, or real scans and several simulated
         folders.
-    html : Write a web page.
+    html : Write a web page to this file.
     out : Folder for compare.html, .xml, .json.
     fail_on : Exit with 4 on worse, or also on undecided.
     undecided_ok : Accept a comparison that too few places leave undecided.
@@ -131,32 +131,19 @@ def compare(
 
     fidpipe compare runs/base runs/new --fail-on worse --out build
     """
-    from ...schemas.settings import load
-    from ..builds import runs_of
-    from ..engine.progress import Reporter
     from ..report.views.compare_view import compare_view
     from ..report.views.gate_view import base_view
     from ..results.compare import compare_runs
     from ..results.gate import judge_comparison
-    from ..storage.files import write_whole
 
     if undecided_ok and fail_on != "worse":
         raise typer.BadParameter("--undecided-ok is for --fail-on worse")
-    _check_runs(runs, has_settings=bool(settings or assignments or preset != "reference"))
-    in_force = load(settings, assignments or [], preset=preset)
-    reporter = Reporter()
-    runs = runs_of(runs, in_force, reporter, machines_of(workers))
+    evaluated = _evaluated(runs, preset, settings, assignments, workers)
     comparisons = compare_runs(
-        runs,
-        allow_different_settings=allow_different_settings,
-        independent=independent,
-        reporter=reporter,
+        evaluated, allow_different_settings=allow_different_settings, independent=independent
     )
-    page = html or (out and out / "compare.html")
-    if page:
-        from ..report.page.compare_page import compare_page
-
-        write_whole(page, compare_page(comparisons, page.parent).encode())
+    if page := html or (out and out / "compare.html"):
+        _write_page(comparisons, page)
     results = []
     if fail_on:
         results = [judge_comparison(c, fail_on, undecided_ok=undecided_ok) for c in comparisons]
@@ -166,25 +153,50 @@ def compare(
         views = [compare_view(comparison, with_all=all_) for comparison in comparisons]
         print_view([*chain(*views, *map(base_view, results))])
     if results:
-        suites = {}
-        for result in results:
-            suites[f"{result.comparison.other} against {result.comparison.base}"] = result.checks
-        content = {"comparisons": [result.as_dict() for result in results]}
-        _write_for_ci("compare", suites, content, runs[-1], out)
-        raise typer.Exit(EXIT_GATE_FAILED if any(result.failed for result in results) else 0)
+        _end_gate(results, evaluated[-1], out)
 
 
-def _check_runs(runs: list[Path], *, has_settings: bool) -> None:
-    """Raise `typer.BadParameter` for too few or too many runs, or settings of finished ones."""
-    from ..builds import is_run, is_side
-    from ..results.compare import MOST_RUNS
+def _evaluated(
+    runs: list[Path],
+    preset: str | None,
+    settings: Path | None,
+    assignments: list[str] | None,
+    workers: int | None,
+) -> list[Path]:
+    """Folders of runs, after datasets and scans are evaluated.
 
-    if not 2 <= len(runs) <= MOST_RUNS:
-        raise typer.BadParameter(f"expected 2 to {MOST_RUNS} runs, got {len(runs)}")
+    Raises `typer.BadParameter` for a single run, or settings of finished ones.
+    """
+    from ...schemas.settings import load
+    from ..builds import is_run, is_side, runs_of
+    from ..engine.progress import Reporter
+
+    if len(runs) < 2:
+        raise typer.BadParameter("expected two or more runs, got 1")
+    has_settings = settings or assignments or preset != "reference"
     if has_settings and all(map(is_run, runs)) and not is_side(runs[0]):
         raise typer.BadParameter(
             "--preset, --set and --settings are for datasets and scans; these are runs"
         )
+    in_force = load(settings, assignments or [], preset=preset)
+    return runs_of(runs, in_force, Reporter(), machines_of(workers))
+
+
+def _write_page(comparisons: list[Comparison], page: Path) -> None:
+    from ..report.page.compare_page import compare_page
+    from ..storage.files import write_whole
+
+    write_whole(page, compare_page(comparisons).encode())
+
+
+def _end_gate(results: list[BaseResult], run: Path, out: Path | None) -> None:
+    """Write the results of `compare --fail-on` for CI, and raise `typer.Exit` with its code."""
+    suites = {}
+    for result in results:
+        suites[f"{result.comparison.other} against {result.comparison.base}"] = result.checks
+    content = {"comparisons": [result.as_dict() for result in results]}
+    _write_for_ci("compare", suites, content, run, out)
+    raise typer.Exit(EXIT_GATE_FAILED if any(result.failed for result in results) else 0)
 
 
 def _write_for_ci(

@@ -11,10 +11,8 @@ if TYPE_CHECKING:
     from ..engine.engine import Machines
 
 #: Options of which each command says what they are, in its docstring.
-Count = Annotated[int, typer.Option(min=1)]
-Seed = Annotated[int, typer.Option(min=0)]
-HiddenSeed = Annotated[int, typer.Option("--seed", min=0, show_default=False)]
-OutFile = Annotated[Path | None, typer.Option(metavar="FILE")]
+Count = Annotated[int, typer.Option(min=1, metavar="N")]
+Seed = Annotated[int, typer.Option(min=0, metavar="N")]
 SettingsFile = Annotated[
     Path | None, typer.Option("--settings", metavar="FILE", help="TOML file of settings.")
 ]
@@ -51,7 +49,10 @@ Workers = Annotated[
     int | None, typer.Option(min=1, metavar="N", help="Processes, else one per core.")
 ]
 LocalWorkers = Annotated[
-    int, typer.Option(min=1, help="Processes on this machine; results do not depend on it.")
+    int,
+    typer.Option(
+        min=1, metavar="N", help="Processes on this machine; results do not depend on it."
+    ),
 ]
 Scheduler = Annotated[
     str | None, typer.Option(metavar="tcp://HOST:PORT", help="Dask scheduler to work on.")

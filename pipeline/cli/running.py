@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,19 +14,22 @@ from .options import (
     AsJson,
     Assignments,
     DatasetFolder,
-    HiddenSeed,
     Pairs,
     PairTimeout,
     Preset,
     Replace,
     RunFolder,
     Scheduler,
+    Seed,
     SettingsFile,
     SimFolder,
     Workers,
     machines_of,
 )
 from .output import print_json, print_outcome, print_text, print_view
+
+if TYPE_CHECKING:
+    from ...schemas.settings import Settings
 
 
 def settings(
@@ -108,7 +111,7 @@ def check(
 def run(
     dataset: DatasetFolder,
     sim: SimFolder = None,
-    out: Annotated[Path | None, typer.Option(show_default="runs/NAME")] = None,
+    out: Path | None = None,
     preset: Preset = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
@@ -117,7 +120,7 @@ def run(
     pair_timeout: PairTimeout = None,
     from_stage: Annotated[str | None, typer.Option("--from", metavar="STAGE")] = None,
     pairs: Pairs = None,
-    seeds: Annotated[int | None, typer.Option(min=1)] = None,
+    seeds: Annotated[int | None, typer.Option(min=1, metavar="N")] = None,
     tasks: bool = False,
     replace: Replace = False,
     as_json: AsJson = False,
@@ -131,7 +134,7 @@ def run(
 
     Parameters
     ----------
-    out : Folder of the run.
+    out : Folder of the run, else runs/NAME.
     from_stage : Recompute this stage and all later stages.
     seeds : Number of seeds for which communities to metrics are repeated, to see how stable the
         scores are.
@@ -165,34 +168,22 @@ def run(
     from ...schemas.settings import load
     from ..engine import prefork
 
-    words = list(assignments or [])
-    if seeds is not None:
-        words.append(f"stability.seeds={seeds}")
-    if tasks:
-        words.append("tasks.names=all")
-    in_force = load(settings, words, preset=preset)
+    in_force = load(settings, _all_assignments(assignments, seeds, tasks=tasks), preset=preset)
     dataset, out = dataset_and_run(dataset, sim, out)
     if scheduler is None and workers != 1 and dataset.is_dir() and not out.exists():
-        prefork.start(
-            ["fidpipe.pipeline.jobs"]
-        )  # a new run needs workers as soon as all else is imported
+        # a new run needs workers as soon as all else is imported
+        prefork.start(["fidpipe.pipeline.jobs"])
 
     from ..engine.progress import Reporter
-    from ..jobs import stages_under
     from ..report.views.run_view import outcome_values, outcome_view
     from ..run import run_dataset
 
-    stage_names = [stage.name for stage in stages_under(in_force)]
-    if from_stage is not None and from_stage not in stage_names:
-        raise typer.BadParameter(
-            f"expected one of {', '.join(stage_names)}; got {from_stage!r}", param_hint="--from"
-        )
     outcome = run_dataset(
         dataset,
         out,
         in_force,
         Reporter(),
-        from_stage=from_stage,
+        from_stage=_known_stage(from_stage, in_force),
         pattern=pairs,
         machines=machines_of(workers, scheduler, pair_timeout),
         replace=replace,
@@ -200,17 +191,38 @@ def run(
     print_outcome(outcome_values(outcome) if as_json else outcome_view(outcome), outcome.failures)
 
 
+def _all_assignments(given: list[str] | None, seeds: int | None, *, tasks: bool) -> list[str]:
+    """The assignments of a command, and those that --seeds and --tasks stand for."""
+    assignments = list(given or [])
+    if seeds is not None:
+        assignments.append(f"stability.seeds={seeds}")
+    if tasks:
+        assignments.append("tasks.names=all")
+    return assignments
+
+
+def _known_stage(name: str | None, settings: Settings) -> str | None:
+    from ..jobs import stages_under
+
+    names = [stage.name for stage in stages_under(settings)]
+    if name is not None and name not in names:
+        raise typer.BadParameter(
+            f"expected one of {', '.join(names)}; got {name!r}", param_hint="--from"
+        )
+    return name
+
+
 def best_case(
     source: Annotated[
         Path, typer.Argument(metavar="RUN | DATASET", help="Folder of a run, or of a dataset.")
     ],
-    out: Annotated[Path | None, typer.Option(show_default="runs/NAME-best-case")] = None,
+    out: Path | None = None,
     preset: Preset = None,
     settings: SettingsFile = None,
     assignments: Assignments = None,
-    noise_m: Annotated[float | None, typer.Option(min=0, max=10)] = None,
-    dropout: Annotated[float | None, typer.Option(min=0, max=0.99)] = None,
-    seed: HiddenSeed = 0,
+    noise_m: Annotated[float | None, typer.Option(min=0, max=10, metavar="M")] = None,
+    dropout: Annotated[float | None, typer.Option(min=0, max=0.99, metavar="SHARE")] = None,
+    seed: Seed = 0,
     pairs: Pairs = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
@@ -226,7 +238,7 @@ def best_case(
 
     Parameters
     ----------
-    out : Folder of the run.
+    out : Folder of the run, else runs/NAME-best-case.
     noise_m : Noise (m), else as measured.
     dropout : Lost share, else as measured.
     seed : Seed of noise and losses.
@@ -237,31 +249,16 @@ def best_case(
 
     fidpipe show runs/dataset --best-case runs/dataset-best-case
     """
-    from ...schemas.settings import load
-    from ..storage.files import path_exists
-
-    is_run = path_exists(source / "run.json")
-    if is_run and (preset or settings or assignments):
-        raise typer.BadParameter("a run has its settings; leave out --preset, --settings and --set")
+    dataset, in_force = _dataset_of(source, preset, settings, assignments)
+    folder = Path("runs") if dataset == source else source.parent
 
     from ..engine.progress import Reporter
     from ..generate.best_case_run import run_best_case
     from ..report.views.run_view import outcome_view
-    from ..results.finished import FinishedRun
-    from ..storage.run_record import SETTINGS_TOML
-    from ..storage.urls import recorded_path
 
-    if is_run:
-        dataset = recorded_path(FinishedRun(source).record.dataset)
-        in_force = load(source / SETTINGS_TOML)
-        default = source.with_name(f"{source.resolve().name}-best-case")
-    else:
-        dataset = source
-        in_force = load(settings, assignments or [], preset=preset)
-        default = Path("runs") / f"{source.resolve().name or 'dataset'}-best-case"
     outcome = run_best_case(
         dataset,
-        out or default,
+        out or folder / f"{source.resolve().name or 'dataset'}-best-case",
         in_force,
         Reporter(),
         noise_m=noise_m,
@@ -272,6 +269,25 @@ def best_case(
         replace=replace,
     )
     print_outcome(outcome_view(outcome), outcome.failures)
+
+
+def _dataset_of(
+    source: Path, preset: str | None, settings: Path | None, assignments: list[str] | None
+) -> tuple[Path, Settings]:
+    """The dataset of a run with the settings of the run; a dataset with those that are given."""
+    from ...schemas.settings import load
+    from ..storage.files import path_exists
+
+    if not path_exists(source / "run.json"):
+        return source, load(settings, assignments or [], preset=preset)
+    if preset or settings or assignments:
+        raise typer.BadParameter("a run has its settings; leave out --preset, --settings and --set")
+
+    from ..results.finished import FinishedRun
+    from ..storage.run_record import SETTINGS_TOML
+    from ..storage.urls import recorded_path
+
+    return recorded_path(FinishedRun(source).record.dataset), load(source / SETTINGS_TOML)
 
 
 def status(run: RunFolder) -> None:

@@ -56,10 +56,10 @@ def show(
 
 def report(
     run: RunFolder,
-    pairs: Annotated[str | None, typer.Option(metavar="PATTERN")] = None,
+    pairs: Pairs = None,
     figures: bool = False,
     best_case: BestCase = None,
-    out: Annotated[Path | None, typer.Option(show_default="the run's own")] = None,
+    out: Path | None = None,
     html: Path | None = None,
     opens: Annotated[bool, typer.Option("--open")] = False,
 ) -> None:
@@ -74,7 +74,7 @@ def report(
     ----------
     pairs : Show pairs whose name matches in 3D, such as '0000*'.
     figures : Also draw the figures for print, in RUN/figures, as PNG, SVG and PDF.
-    out : Folder for page and figures.
+    out : Folder for page and figures, else the run's own.
     html : Write the page to this file.
     opens : Open the page in the browser.
 
@@ -100,7 +100,6 @@ def report(
         html=html,
         best_case=best_case,
         with_figures=figures,
-        reporter=Reporter(),
     )
     print_line(f"page:    {files.page} ({files.n_views} of {files.n_pairs} pairs in 3D)")
     if files.figures:
@@ -115,7 +114,7 @@ def export(
     mcap: bool = False,
     ply: bool = False,
     pairs: Pairs = None,
-    out: Annotated[Path | None, typer.Option(show_default="RUN/export")] = None,
+    out: Path | None = None,
     replace: bool = False,
 ) -> None:
     """Write points with their scores for Foxglove, Lichtblick, rerun or CloudCompare.
@@ -133,7 +132,7 @@ def export(
     ----------
     mcap : One MCAP file of ROS 2 messages, NAME.mcap; needs the extra ros.
     ply : Two PLY files per pair, PAIR.real.ply and PAIR.sim.ply, with scalar fields.
-    out : Folder for the files.
+    out : Folder for the files, else RUN/export.
     replace : Replace existing files.
 
     Examples

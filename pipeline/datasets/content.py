@@ -70,7 +70,7 @@ def scan_content(source: ScanRef | Path, hash_of: Callable[[Path], str] = file_h
             raise ScanError(f"{scan}: the file is empty; expected points")
     except OSError as error:
         raise ScanError(f"{scan}: cannot be read ({error.strerror})") from error
-    if not label_sha256 and scan.format.module and not scan.format.columns:
+    if not label_sha256 and not scan.format.columns:
         label_sha256 = "column"
     n_points = n_bytes // _BYTES_PER_POINT
     if scan.format.holds_frames:

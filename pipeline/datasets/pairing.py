@@ -130,8 +130,7 @@ def _paired(real: Path, sim: Path) -> tuple[Timeline, Timeline, Pairing]:
     except DatasetError as error:
         if is_recording:
             raise
-        by_time = f" (by time: {error})" if scans_in(real) and scans_in(sim) else ""
-        raise DatasetError(f"{_no_partner(real, sim)}{by_time}") from error
+        raise DatasetError(f"{_no_partner(real, sim)} (by time: {error})") from error
     return *lines, pair_times(lines[0].times_s, lines[1].times_s, TOLERANCE_S)
 
 
@@ -369,9 +368,9 @@ def write_dataset(
     real_ids = pairing.real_ids[kept]
     if not len(real_ids):
         raise DatasetError(
-            f"{real.source} and {sim.source}: no two frames at one time; real are {_span(real)}, "
-            f"simulated {_span(sim)} s (offset {pairing.offset_s:+.3f}); give another --offset or "
-            "--tolerance"
+            f"{real.source} and {sim.source}: no two frames at one time; real are "
+            f"{real.times_s[0]:.3f} to {real.times_s[-1]:.3f}, simulated {sim.times_s[0]:.3f} to "
+            f"{sim.times_s[-1]:.3f} s (offset {pairing.offset_s:+.3f}); give another --offset or --tolerance"
         )
     rows: list[tuple[str, ...]] = []
     for real_id, sim_id in zip(real_ids.tolist(), pairing.sim_ids[kept].tolist(), strict=True):
@@ -417,7 +416,3 @@ def _name(frame: ScanRef, folder: Path) -> str:
     """The name of a frame relative to a folder."""
     path = os.path.relpath(frame.file.absolute(), folder.absolute())
     return str(with_values(frame, file=Path(path)))
-
-
-def _span(line: Timeline) -> str:
-    return f"{line.times_s[0]:.3f} to {line.times_s[-1]:.3f}"

@@ -139,9 +139,9 @@ def read_label_names(folder: Path) -> dict[int, str]:
 def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
     if not all((folder / side).is_dir() for side in SIDES):
         names = sorted(path.name for path in folder.iterdir())
-        content = ", ".join(names[:_MOST_NAMES]) if names else "nothing"
         raise DatasetError(
-            f"dataset {folder}: expected folders real/ and sim/ or a {MANIFEST}, got {content}; two "
+            f"dataset {folder}: expected folders real/ and sim/ or a {MANIFEST}, got "
+            f"{', '.join(names[:_MOST_NAMES]) or 'nothing'}; two "
             "folders of scans, or two recordings, may have any name: fidpipe run REAL SIM"
         )
     scans = {side: _scans_by_stem(folder / side, warnings) for side in SIDES}
@@ -179,10 +179,8 @@ def folders_of_scans(folder: Path) -> list[Path]:
     """The folder itself if it holds scans, else those one level down that do."""
     if scans_in(folder):
         return [folder]
-    inner = [
-        path for path in sorted(folder.iterdir()) if path.is_dir() and not path.name.startswith(".")
-    ]
-    return [path for path in inner if scans_in(path)]
+    folders = [path for path in sorted(folder.iterdir()) if path.is_dir()]
+    return [path for path in folders if not path.name.startswith(".") and scans_in(path)]
 
 
 def _files(folder: Path) -> list[Path]:
@@ -214,7 +212,12 @@ def _scans_by_stem(folder: Path, warnings: list[str]) -> dict[str, ScanRef]:
     return scans
 
 
-def read_manifest(manifest: Path, warnings: list[str], *, needs_sim: bool = True) -> list[ScanPair]:
+def read_manifest(
+    manifest: Path,
+    warnings: list[str],
+    *,
+    needs_sim: bool = True,
+) -> list[ScanPair]:
     """The pairs of a manifest, in its order.
 
     Parameters
@@ -314,7 +317,7 @@ def local_folder(name: str) -> Path:
 
     Raises
     ------
-    DatasetError
+    StoreError
         The URL cannot be read.
     """
     if not is_url(name):
@@ -340,7 +343,12 @@ def _stubs_of(folder: Path, names: list[str]) -> dict[str, Path | str]:
     return stubs_of(urls)
 
 
-def _named_scan(folder: Path, name: str, side: str, stubs: Mapping[str, Path | str]) -> ScanRef:
+def _named_scan(
+    folder: Path,
+    name: str,
+    side: str,
+    stubs: Mapping[str, Path | str],
+) -> ScanRef:
     """The scan that a manifest names; `ScanError` if it does not exist."""
     if not name:
         raise ScanError(f"no {side} scan is named")
@@ -352,7 +360,7 @@ def _named_scan(folder: Path, name: str, side: str, stubs: Mapping[str, Path | s
     path = folder / name
     stub = Path(f"{path}{STUB}")
     try:
-        scan = scan_ref(stub if is_stub(stub) and stub.exists() else path)
+        scan = scan_ref(stub if stub.exists() and is_stub(stub) else path)
         if scan.exists:
             return scan
     except OSError as error:  # a name that no file can have
@@ -399,15 +407,11 @@ def check_rigid(where: str, numbers: FloatArray) -> FloatArray:
     rotation = motion[:, :3]
     with np.errstate(over="ignore", invalid="ignore"):  # infinite values are not a rotation
         off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-    if not (off <= _ROTATION_TOLERANCE and np.isfinite(motion).all()):
-        raise DatasetError(
-            f"{where} is not a rigid motion (R R^T is off the identity by {off:.2g}, at "
-            f"most {_ROTATION_TOLERANCE:g} is taken for rounding)"
-        )
     shift_m = float(np.abs(motion[:, 3]).max())
-    if shift_m > FARTHEST_M:
+    if not (off <= _ROTATION_TOLERANCE and shift_m <= FARTHEST_M):
         raise DatasetError(
-            f"{where}: expected a translation of at most {FARTHEST_M:g} m, got {shift_m:g} m",
+            f"{where} is not a rigid motion: R R^T is off the identity by {off:.2g}, at most "
+            f"{_ROTATION_TOLERANCE:g} is taken for rounding, or t of {shift_m:g} m is above {FARTHEST_M:g} m"
         )
     if np.linalg.det(rotation) < 0:
         hint = "expected det R = 1"

@@ -54,8 +54,9 @@ def diagnose_run(folder: Path, reporter: Reporter, machines: Machines | None = N
             remove_stale(stale, run.store, reporter, ["the causes changed"])
             schedule.run()
     if collector.failures:
-        reasons = [f"pair {name}: {reason}" for name, reason in collector.failures.items()]
-        raise RunError(f"run {folder}: {'; '.join(reasons)}")
+        raise RunError(
+            f"run {folder}: pairs that cannot be diagnosed: {', '.join(collector.failures)}"
+        )
     diagnosis = diagnosis_of(run.store, run.record, run.names)
     if diagnosis is None:
         raise RunError(f"run {folder}: the run changed while it was diagnosed; diagnose it again")
@@ -71,11 +72,10 @@ def _survey(
     stale = {}
     for row in run.scored:
         pair = ScanPair(row["pair_id"], None, None)
-        key = plan_pair(pair).keys[stage.name, ""]
         record = run.store.ledger.jobs(pair.pair_id).get((stage.name, ""))
-        if record is not None and record.key == key and not run.store.damaged_files(record):
-            continue
-        todo.append(pair)
-        if record is not None:
+        if record is None:
+            todo.append(pair)
+        elif record.key != plan_pair(pair).keys[record.job] or run.store.damaged_files(record):
+            todo.append(pair)
             stale[record.name] = OUT_OF_DATE
     return todo, stale

@@ -20,11 +20,11 @@ def diagnosis_view(diagnosis: Diagnosis) -> View:
     )
     first = cause_items(diagnosis.causes) or items_of(no_cause_words(diagnosis.unknown))
     first.append((unexplained_words(diagnosis), "", ""))
-    sections = [("Fix first", first)]
-    if diagnosis.notes:
-        sections.append(("Notes", [(note, "", "") for note in diagnosis.notes]))
-    if doubtful := doubtful_words(diagnosis):
-        sections.append(("Doubtful", [(doubtful, "", "")]))
+    sections = {
+        "Fix first": first,
+        "Notes": items_of(*diagnosis.notes),
+        "Doubtful": items_of(doubtful_words(diagnosis)),
+    }
     return [Note(title, "bold"), Answers(sections)]
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +17,6 @@ import numpy as np
 from ...schemas.columns import Row
 from ...schemas.errors import DatasetError
 from ...schemas.metric_catalogue import OBJECT_METRICS
-from ...schemas.results import JsonObject
 from ...stages.arrays import BoolArray
 from ...stages.predictions import (
     Boxes,
@@ -120,11 +119,6 @@ class Agreement:
     objects: tuple[Row, ...]
     scores: tuple[Row, ...]
     left_out: tuple[str, ...]
-
-    def as_dict(self) -> JsonObject:
-        """Plain values, for JSON."""
-        values: JsonObject = asdict(self)
-        return values
 
 
 def compare_predictions(run: FinishedRun, real: Path, sim: Path) -> Agreement:
@@ -255,7 +249,10 @@ def _compare_boxes(
 
 
 def _boxed_objects(
-    run: FinishedRun, pair_id: str, real: Boxes, is_found: BoolArray
+    run: FinishedRun,
+    pair_id: str,
+    real: Boxes,
+    is_found: BoolArray,
 ) -> pd.DataFrame:
     """The object with the most points inside of each real box that has any."""
     import pandas as pd

@@ -6,10 +6,8 @@ from collections.abc import Sequence
 
 from ...schemas.columns import Row
 from ...schemas.metric_catalogue import metric_of
-from ..report.view import Note, Part, Table, View, columns_of, count, first_of, number, percent
+from ..report.view import Note, Part, Table, View, columns_of, count, number, percent
 from .predictions import Agreement
-
-_MOST_PAIRS = 5
 
 
 def agreement_view(result: Agreement) -> View:
@@ -26,8 +24,8 @@ def agreement_view(result: Agreement) -> View:
     title = "Does a score go with a loss? (0.5: no; 1: lost objects have the larger scores)"
     parts.append(Table(title, ("score", "AUC", "95 %, leaving out scans"), rows, words=(0, 2)))
     if result.left_out:
-        named = ", ".join(first_of(result.left_out, _MOST_PAIRS, "..."))
-        parts.append(Note(f"without predictions on both sides: {named}", "yellow"))
+        n_left_out = count(len(result.left_out), "pair")
+        parts.append(Note(f"{n_left_out} without predictions on both sides", "yellow"))
     return parts
 
 

@@ -42,25 +42,17 @@ GroundTables = Iterable[tuple[pa.Table, FloatArray | None]]
 _Item = TypeVar("_Item")
 
 
-def tell_apart_run(run: FinishedRun, best_case: FinishedRun | None = None) -> dict[str, Any]:
+def tell_apart_run(run: FinishedRun) -> dict[str, Any]:
     """Test the pairs of a run: real against simulated, and real against real, for JSON.
-
-    Parameters
-    ----------
-    best_case : a run of `fidpipe best-case` on the same real scans; its second measurements stand for the real sensor
 
     Raises
     ------
     FidpipeError
-        No pair is scored, a table is damaged, or the best case lacks a pair.
+        No pair is scored, or a table is damaged.
     """
     names = _evenly(run.select())
     real, sim = [draw_sample(_stored_scans(run, side, names), len(names)) for side in SIDES]
-    second = None
-    if best_case is not None:
-        same_pairs = [best_case.row(name)["pair_id"] for name in names]
-        second = draw_sample(_stored_scans(best_case, "sim", same_pairs), len(names))
-    return _compare(real, sim, second, is_paired=True)
+    return _compare(real, sim, is_paired=True)
 
 
 def tell_apart_folders(real: Path, sim: Path, settings: Settings) -> dict[str, Any]:
@@ -84,7 +76,7 @@ def tell_apart_folders(real: Path, sim: Path, settings: Settings) -> dict[str, A
             )
         chosen = _evenly(scans)
         samples.append(draw_sample(_read_scans(settings, side, chosen), len(chosen)))
-    return _compare(samples[0], samples[1], None, is_paired=False)
+    return _compare(samples[0], samples[1], is_paired=False)
 
 
 def _stored_scans(run: FinishedRun, side: str, names: Sequence[str]) -> GroundTables:
@@ -158,9 +150,7 @@ def _ranks(intensity: FloatArray, seed: int) -> FloatArray | None:
     return np.asarray(shuffled.rank(method="first", pct=True).sort_index(), dtype=np.float64)
 
 
-def _compare(
-    real: pd.DataFrame, sim: pd.DataFrame, second: pd.DataFrame | None, *, is_paired: bool
-) -> dict[str, Any]:
+def _compare(real: pd.DataFrame, sim: pd.DataFrame, *, is_paired: bool) -> dict[str, Any]:
     points, splits = _both_sides(real, sim, is_paired=is_paired)
     features = features_of(points)
     families = []
@@ -171,7 +161,7 @@ def _compare(
             for name in names:
                 auc = _separate(points, splits, [name]).auc
                 alone.append({"family": family, "name": name, "auc": auc})
-    base_of, a, b = _real_samples(real, second, is_paired)
+    base_of, a, b = _real_samples(real, is_paired)
     base = compare_samples(a, b, features, is_paired=is_paired)
     return _values(_separate(points, splits, features)) | {
         "folds": "places" if points.place.nunique() >= LEAST_PLACES else "sectors",
@@ -187,16 +177,12 @@ def _values(test: Separation) -> dict[str, Any]:
     return {"auc": test.auc, "low": test.low, "high": test.high}
 
 
-def _real_samples(
-    real: pd.DataFrame, second: pd.DataFrame | None, is_paired: bool
-) -> tuple[str, pd.DataFrame, pd.DataFrame]:
+def _real_samples(real: pd.DataFrame, is_paired: bool) -> tuple[str, pd.DataFrame, pd.DataFrame]:
     """Two samples that differ only by chance, and the words for what they are.
 
     A classifier that tells these apart would also tell any simulator apart. Paired samples are frames of the same
     places; their numbers are those of the pairs.
     """
-    if second is not None:
-        return "second measurements of the best case", real, second
     n_pairs = (int(real.frame.max()) + 1) // 2
     pairable = real[real.frame < 2 * n_pairs]
     if n_pairs and not is_paired:
@@ -231,7 +217,11 @@ def _both_sides(
 
 
 def compare_samples(
-    a: pd.DataFrame, b: pd.DataFrame, features: Sequence[str], *, is_paired: bool = True
+    a: pd.DataFrame,
+    b: pd.DataFrame,
+    features: Sequence[str],
+    *,
+    is_paired: bool = True,
 ) -> Separation:
     """Test two samples by those of the features that both have."""
     points, splits = _both_sides(a, b, is_paired=is_paired)

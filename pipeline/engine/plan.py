@@ -119,7 +119,7 @@ class PairPlan:
             return []
         left = []
         for name, job in self.jobs.items():
-            if name in failed or failed.intersection(job.needs):
+            if failed and (name in failed or failed.intersection(job.needs)):
                 failed.add(name)
             elif name not in self.records:
                 left.append(job)

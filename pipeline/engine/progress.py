@@ -44,7 +44,7 @@ class Reporter:
         self.console.print(text, markup=False)
 
     def warn(self, *texts: str) -> None:
-        """Print warnings, one line each; all at once, as each call costs more than its lines."""
+        """Print warnings, one line each, by one call of the console, because calls are slow."""
         if texts:
             self.console.print(
                 "\n".join(f"warning: {shown(text)}" for text in texts), markup=False, style="yellow"
@@ -86,7 +86,7 @@ class Reporter:
 
         Parameters
         ----------
-        objects : how many objects of a pair are done, if its jobs are waiting for others
+        objects : text that follows the counts: how many objects of a large pair are done; "" for none
         """
         self._n_ended += n_pairs
         self._objects = objects
@@ -118,8 +118,10 @@ class Reporter:
             self._bar = None
 
     def _counts(self) -> str:
+        """Pairs that have ended and failed, and objects that are done."""
         return f"{self._n_ended} of {self._n_pairs} pairs, {self._n_failed} failed{self._objects}"
 
 
 def _in_words(seconds: float) -> str:
+    """A duration in seconds, or from 90 s on in minutes."""
     return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"

@@ -22,7 +22,7 @@ Contents = dict[str, dict[str, ScanContent]]  #: of files, by pair_id and side
 
 
 def hash_files(pairs: Iterable[ScanPair], folder: RunFolder) -> tuple[Contents, dict[str, str]]:
-    """The contents of the files of pairs, none of which is parsed, and reasons why pairs cannot be evaluated."""
+    """Contents of the files of pairs by hash, without parsing them; and reasons why pairs cannot be evaluated."""
     all_contents = {}
     faults = {}
     for pair in pairs:
@@ -64,12 +64,12 @@ def what_changed(
 def remove_stale(
     stale: Mapping[JobName, str], folder: RunFolder, reporter: Reporter, changes: Sequence[str]
 ) -> None:
-    """Report which results are replaced or removed and why, and remove them.
+    """Report which results are replaced and why, and remove them, along with files of no finished job.
 
     Parameters
     ----------
-    stale : finished jobs whose results are no longer needed, each with the reason
-    changes : since the last run, as text
+    stale : finished jobs whose results are no longer valid, each with the reason
+    changes : changes since the last run, as text
     """
     jobs_of_pairs: defaultdict[str, set[JobId]] = defaultdict(set)
     for stage, pair_id, part in stale:

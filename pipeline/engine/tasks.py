@@ -29,11 +29,11 @@ def map_tasks(
 
     Parameters
     ----------
-    function : of a module
-    tasks : by name
+    function : function of a module, which worker processes import
+    tasks : arguments of the calls, by name of a pair
     reporter : shows progress, and each failure
-    n_workers : processes; None for one per core; 1 for this one, unless a task may end it
-    may_end_workers : whether a task may end the process that it is in
+    n_workers : number of processes; None for one per core; 1 for this process, unless a task may end it
+    may_end_workers : True if a task may end its process, as a reader that crashes does
 
     Returns
     -------
@@ -67,7 +67,7 @@ def map_tasks(
 def _outcomes(
     pool: Pool, function: Callable[[Task], Result], tasks: Mapping[str, Task]
 ) -> Iterator[tuple[str, Result | None, str]]:
-    """Name, result and reason of failure of each task; one whose worker died is tried again alone."""
+    """Name, result and reason of failure of each task, as they end; a task whose worker died is repeated alone."""
     groups = [list(tasks)]
     for group in groups:
         running = {pool.submit(_call, function, tasks[name]): name for name in group}

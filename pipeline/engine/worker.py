@@ -272,9 +272,10 @@ class JobRunner:
                 self.plan.tables.write_job(record, made.tables)
         record.steps = steps.total()
         self.plan = self.plan.after([record])
-        needed = [left.scan_sides for left in self.plan.todo]
-        for side in set(self.scans).difference(*needed):
-            del self.scans[side]  # no later job reads it
+        if self.scans:
+            needed = [left.scan_sides for left in self.plan.todo]
+            for side in set(self.scans).difference(*needed):
+                del self.scans[side]  # no later job reads it
         self.result.records.append(record)
 
     def _record(self, job: Job, made: JobResult) -> JobRecord:

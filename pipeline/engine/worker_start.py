@@ -1,22 +1,31 @@
 """Start of a worker process of a local cluster: its imports, Ctrl-C left to the command, and a limit on memory."""
 
+import gc
+import importlib
 import resource
 import signal
 from pathlib import Path
 from typing import Any
 
-import distributed.nanny
-import distributed.worker
-import ot
-import scipy.ndimage
-import scipy.signal
-import scipy.stats
-import sklearn.linear_model
-import sknetwork.clustering
+_LIBRARIES = (
+    "distributed.nanny",
+    "distributed.worker",
+    "ot",
+    "scipy.ndimage",
+    "scipy.signal",
+    "scipy.stats",
+    "sklearn.linear_model",
+    "sknetwork.clustering",
+    "fidpipe.pipeline.engine.worker",
+    "fidpipe.stages.causes.estimates",
+)
 
-from . import worker
-
-__all__ = ["distributed", "ot", "scipy", "sklearn", "sknetwork", "worker"]
+# Searching what is imported for garbage takes a third of the time, and workers would do it again.
+gc.disable()
+for name in _LIBRARIES:
+    importlib.import_module(name)
+gc.freeze()
+gc.enable()
 
 
 def dask_setup(worker: Any) -> None:

@@ -7,7 +7,6 @@ scalar fields as CloudCompare names them. All numbers keep 64 bits.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib.util import find_spec
 from itertools import product
@@ -60,6 +59,8 @@ _PLY_TYPES = {"<f8": "double", "<i4": "int", "|u1": "uchar"}
 _NS = 1_000_000_000
 _LATEST_S = 2**31  # seconds of a ROS stamp are int32
 
+Message = tuple[str, int, NDArray[np.void] | str]  #: topic, nanoseconds, and points or text
+
 
 def export_run(
     run: FinishedRun,
@@ -98,7 +99,9 @@ def export_run(
     plys = {}
     for name, side in product(names, SIDES):
         plys[name, side] = folder / f"{file_stem(name)}.{side}.ply"
-    paths = [*([bag] if mcap else []), *(plys.values() if ply else [])]
+    paths = list(plys.values()) if ply else []
+    if mcap:
+        paths.append(bag)
     for path in paths:
         if path.exists() and not replace:
             raise RunError(f"{path}: already exists; add --replace, or choose another --out")
@@ -117,9 +120,10 @@ def export_run(
 
 
 def _messages(
-    run: FinishedRun, names: Iterable[str], stamps_ns: dict[str, int]
-) -> Iterator[tuple[str, int, NDArray[np.void] | str]]:
-    """Topic, nanoseconds, and points or text of each message."""
+    run: FinishedRun,
+    names: Iterable[str],
+    stamps_ns: dict[str, int],
+) -> Iterator[Message]:
     for name in names:
         for side, (points, objects) in pair_clouds(run, name).items():
             yield f"{TOPIC}/{side}", stamps_ns[name], points
@@ -138,8 +142,7 @@ def message_times(run: FinishedRun, names: Sequence[str]) -> tuple[dict[str, int
     known_s = {times_s[name] for name in names if 0 <= times_s.get(name, -1.0) < _LATEST_S}
     if len(known_s) == len(names):
         return {name: round(times_s[name] * _NS) for name in names}, "of the dataset"
-    seconds = enumerate(run.scored, 1)
-    return {row["pair_id"]: second * _NS for second, row in seconds}, "one second apart"
+    return {name: second * _NS for second, name in enumerate(run.names, 1)}, "one second apart"
 
 
 def pair_clouds(
@@ -223,7 +226,9 @@ def _message(types: Any, content: NDArray[np.void] | str, time_ns: int) -> Any:
 
 
 def _write_bag(
-    path: Path, run: FinishedRun, messages: Iterable[tuple[str, int, NDArray[np.void] | str]]
+    path: Path,
+    run: FinishedRun,
+    messages: Iterable[Message],
 ) -> None:
     """Write messages to an MCAP file, which appears once all are written."""
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
@@ -247,6 +252,4 @@ def _write_bag(
                     if topic not in connections:
                         connections[topic] = writer.add_connection(topic, kind, typestore=store)
                     writer.write(connections[topic], time_ns, store.serialize_cdr(message, kind))
-            with (bag / "bag.mcap").open("rb") as file:
-                os.fsync(file.fileno())
             (bag / "bag.mcap").replace(path)

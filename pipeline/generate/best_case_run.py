@@ -16,13 +16,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ...schemas.columns import FARTHEST_M
-from ...schemas.errors import RunError, ScanError
+from ...schemas.errors import ScanError
 from ...schemas.settings import InputSettings, Settings
 from ...stages.clean import as_ros, clean_scan
 from ...stages.generate.second_measurement import fill_gaps, remeasure
-from ...stages.sensor_description import NO_GAPS, describe_with_gaps
-from ..datasets.pairs import LABEL_NAMES, MANIFEST, Dataset, ScanPair, read_dataset
+from ...stages.sensor_description import NO_GAPS, SurfaceGaps, describe_with_gaps
+from ..datasets.pairs import MANIFEST, Dataset, read_dataset
 from ..datasets.readers import read_scan
+from ..datasets.readers.scan import Scan
 from ..engine.engine import Machines
 from ..engine.pool import one_blas_thread
 from ..engine.progress import Reporter
@@ -34,12 +35,13 @@ from ..results.best_case import (
     read_recipe,
 )
 from ..run import RunOutcome, run_dataset, select_pairs
-from ..storage.files import csv_bytes, path_exists, refuse_link, write_whole
+from ..storage.files import csv_bytes, refuse_link, write_whole
 from ..storage.folder import RunFolder, check_folder, refuse_overwrite
 from ..storage.ledger import LEDGER
 from ..storage.run_record import has_ended, read_run
 from ..storage.table_files import file_stem
-from ..storage.urls import name_in_records, recorded_path
+from ..storage.urls import name_in_records
+from .dataset_folder import write_label_names
 
 RECIPE_VERSION = 3  # increase it when the same recipe results in other measurements
 DEFAULT_NOISE_M = 0.03  # if it cannot be measured on a scan
@@ -109,14 +111,11 @@ def run_best_case(
 
 
 def _refuse_other_recipe(out: Path, recipe: BestCaseRecipe, *, replace: bool) -> None:
-    """Raise `RunError` if the best case of another dataset, or without `replace` a finished one, would be replaced."""
+    """Raise `RunError` if a finished best case of another recipe would be replaced, unless it may be."""
     before = read_recipe(out)
-    if before is None:
-        return
-    if before.dataset != recipe.dataset and path_exists(recorded_path(before.dataset)):
-        raise RunError(f"run {out}: holds the best case of {before.dataset}; give another --out")
-    if before.words != recipe.words and has_ended(read_run(out)) and not replace:
-        refuse_overwrite(f"run {out}", "its scans", [before.words, f"requested: {recipe.words}"])
+    if before and before != recipe and has_ended(read_run(out)) and not replace:
+        words = [f"{made.words}, of {made.dataset}" for made in (before, recipe)]
+        refuse_overwrite(f"run {out}", "its scans", [words[0], f"requested: {words[1]}"])
 
 
 def _write_dataset(
@@ -131,91 +130,78 @@ def _write_dataset(
     refuse_link(folder / "sim")
     (folder / MANIFEST).unlink(missing_ok=True)
     write_whole(folder / BEST_CASE_RECIPE, recipe.to_toml().encode())
-    (folder / LABEL_NAMES).unlink(missing_ok=True)
-    if (source.folder / LABEL_NAMES).exists():
-        write_whole(folder / LABEL_NAMES, (source.folder / LABEL_NAMES).read_bytes())
-    wanted = []
-    for pair in source.pairs:
-        path = folder / "sim" / f"{file_stem(pair.pair_id)}.parquet"
-        if pair.pair_id in selected or path.exists():
-            wanted.append((pair, path))
+    write_label_names(folder, source.label_names)
+    paths = {pair: folder / "sim" / f"{file_stem(pair.pair_id)}.parquet" for pair in source.pairs}
+    wanted = [pair for pair in paths if pair.pair_id in selected or paths[pair].exists()]
     rows = []
-    amounts = []
+    unknown = []
     with one_blas_thread():  # a hundredth of the run's time
-        for pair, path in reporter.counted(wanted, len(wanted)):
-            real = sim = str(pair.real.absolute()) if pair.real else ""
-            try:
-                table, used = _remeasured(pair, recipe, settings, source.label_names)
-            except ScanError:  # reported by the run, which reads the real scan on both sides
-                path.unlink(missing_ok=True)
-            else:
-                content = BytesIO()
-                pq.write_table(table, content)
-                write_whole(path, content.getbuffer())
-                amounts.append(used)
-                sim = f"sim/{path.name}"
+        for pair in reporter.counted(wanted, len(wanted)):
+            path = paths[pair]
+            real = sim = ""
+            if pair.real is not None:
+                real = sim = str(pair.real.absolute())
+                try:
+                    scan = read_scan(pair.real, settings.columns_of("real"), source.label_names)
+                except ScanError:  # reported by the run, which reads the real scan on both sides
+                    path.unlink(missing_ok=True)
+                else:
+                    sim = f"sim/{path.name}"
+                    if not _write_measurement(path, pair.pair_id, scan, recipe, settings):
+                        unknown.append(pair.pair_id)
             rows.append((pair.pair_id, real, sim, pair.timestamp_s))
-    if amounts and AS_MEASURED in (recipe.noise_m, recipe.lost_share):
-        _report_amounts(amounts, reporter)
+    if unknown:
+        reporter.warn(
+            f"{len(unknown)} of {len(wanted)} real scans: noise or losses cannot be measured; used "
+            f"{DEFAULT_NOISE_M:g} m and {DEFAULT_LOST_SHARE:.0%}; set --noise-m and --dropout"
+        )
     write_whole(folder / MANIFEST, csv_bytes(["pair_id", "real", "sim", "timestamp_s"], rows))
 
 
-def _report_amounts(amounts: list[tuple[float, float, str]], reporter: Reporter) -> None:
-    """Show the medians of noise and losses; warn of scans where they cannot be measured."""
-    n_scans = len(amounts)
-    noise_m, lost_share = np.median([row[:2] for row in amounts], axis=0)
-    reporter.say(
-        f"range noise {1e3 * noise_m:.0f} mm, dropout {lost_share:.1%} (median of {n_scans} scans)"
-    )
-    reasons = [row[2] for row in amounts if row[2]]
-    if reasons:
-        reporter.warn(
-            f"{len(reasons)} of {n_scans} real scans: noise or losses cannot be measured ({reasons[0]}); "
-            f"used {DEFAULT_NOISE_M:g} m and {DEFAULT_LOST_SHARE:.0%}; set --noise-m and --dropout"
-        )
-
-
-def _remeasured(
-    pair: ScanPair,
+def _write_measurement(
+    path: Path,
+    pair_id: str,
+    scan: Scan,
     recipe: BestCaseRecipe,
     settings: InputSettings,
-    label_names: dict[int, str],
-) -> tuple[pa.Table, tuple[float, float, str]]:
-    """One measurement: x, y, z, labels and instances if the scan has them; its noise, losses and what was assumed.
+) -> bool:
+    """Write the measurement of a pair; returns False if noise or losses are to be those of the scan but unknown.
 
     A second measurement loses other pulses than the first. If losses are those of the scan, the
     pulses that it lost within surfaces return; otherwise losses would add up to twice the share.
     """
-    scan = read_scan(pair.scans["real"], settings.columns_of("real"), label_names)
-    noise_m = recipe.noise_m
-    lost_share = recipe.lost_share
-    gaps = NO_GAPS
-    reasons = []
-    if AS_MEASURED in (noise_m, lost_share):
-        axes = as_ros(scan.points, settings.frame_of("real"))
-        sensor, gaps_of_scan = describe_with_gaps(axes, scan.rings)
-        if noise_m == AS_MEASURED:
-            noise_m = sensor.range_noise_m or 0.0
-            if sensor.range_noise_m is None:
-                noise_m = DEFAULT_NOISE_M
-                reasons.append(sensor.why_unknown("range_noise_m"))
-        if lost_share == AS_MEASURED:
-            lost_share = sensor.lost_share or 0.0
-            gaps = gaps_of_scan
-            if sensor.lost_share is None:
-                lost_share = DEFAULT_LOST_SHARE
-                gaps = NO_GAPS
-                reasons.append(sensor.why_unknown("lost_share"))
+    points = as_ros(scan.points, settings.frame_of("real"))
+    sensor, gaps = describe_with_gaps(points, scan.rings)
+    noise_m = sensor.range_noise_m if recipe.noise_m == AS_MEASURED else recipe.noise_m
+    lost_share = sensor.lost_share if recipe.lost_share == AS_MEASURED else recipe.lost_share
+    if recipe.lost_share != AS_MEASURED or lost_share is None:
+        gaps = NO_GAPS
+    is_known = noise_m is not None and lost_share is not None
+    noise_m = DEFAULT_NOISE_M if noise_m is None else noise_m
+    lost_share = DEFAULT_LOST_SHARE if lost_share is None else lost_share
+    rng = np.random.default_rng([recipe.seed, *pair_id.encode()])
+    content = BytesIO()
+    pq.write_table(_remeasured(scan, gaps, noise_m, lost_share, rng), content)
+    write_whole(path, content.getbuffer())
+    return is_known
+
+
+def _remeasured(
+    scan: Scan,
+    gaps: SurfaceGaps,
+    noise_m: float,
+    lost_share: float,
+    rng: np.random.Generator,
+) -> pa.Table:
+    """One measurement: x, y, z, labels and instances if the scan has them."""
     clean = clean_scan(scan.points, _ALL)
     filled, filled_ids = fill_gaps(scan.points, *gaps)
-    rng = np.random.default_rng([recipe.seed, *pair.pair_id.encode()])
     all_points = np.concatenate([clean.points, filled])
-    points, kept = remeasure(all_points, float(noise_m), float(lost_share), rng)
+    points, kept = remeasure(all_points, noise_m, lost_share, rng)
     rows = np.concatenate([clean.point_ids, filled_ids])[kept]
     columns = dict(zip("xyz", points.T, strict=True))
     if scan.labels is not None:
         columns["label"] = scan.labels[rows]
     if scan.instances is not None:
         columns["instance"] = scan.instances[rows]
-    known_reasons = dict.fromkeys(filter(None, reasons))
-    return pa.table(columns), (float(noise_m), float(lost_share), "; ".join(known_reasons))
+    return pa.table(columns)

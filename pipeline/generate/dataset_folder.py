@@ -89,8 +89,6 @@ def generate_dataset(
     with named_errors(out):
         _prepare(out, recipe_name, recipe | {"files": sorted(names)}, label_names, replace=replace)
         missing = {pair.pair_id: pair.task for pair in pairs if not pair.is_in(out)}
-        if 0 < len(missing) < len(pairs):
-            reporter.say(f"{len(pairs) - len(missing)} of {len(pairs)} pairs already exist")
         _, failures = map_tasks(write_pair, missing, reporter, n_workers=workers)
         done = [pair for pair in pairs if pair.is_in(out)]
         columns = ["pair_id", "real", "sim", "timestamp_s", "T_world_sensor"]
@@ -99,7 +97,12 @@ def generate_dataset(
 
 
 def _prepare(
-    out: Path, recipe_name: str, recipe: Recipe, label_names: Mapping[int, str], *, replace: bool
+    out: Path,
+    recipe_name: str,
+    recipe: Recipe,
+    label_names: Mapping[int, str],
+    *,
+    replace: bool,
 ) -> None:
     """Create the folder, and remove files of an earlier dataset that this one lacks."""
     import tomli_w
@@ -108,7 +111,7 @@ def _prepare(
         refuse_link(out / side)
     earlier = _earlier_recipe(out / recipe_name)
     kind = f"a dataset of fidpipe {recipe_name.removesuffix('.toml')}"
-    refuse_other_content(f"dataset {out}", out, kind, is_own=bool(earlier), other="folder")
+    refuse_other_content(f"dataset {out}", out, kind, is_own=bool(earlier))
     text = tomli_w.dumps(recipe)
     now = tomllib.loads(text)
     changed = [name for name in earlier | now if earlier.get(name) != now.get(name)]
@@ -121,13 +124,21 @@ def _prepare(
             lost.append(path)
     if lost and not replace and (out / MANIFEST).exists():
         why = [f"other {name}" for name in changed]
-        refuse_overwrite(f"dataset {out}", f"{len(lost)} of its files", why, "folder")
-    for path in [out / MANIFEST, out / LABEL_NAMES, *lost]:
+        refuse_overwrite(f"dataset {out}", f"{len(lost)} of its files", why)
+    for path in [out / MANIFEST, *lost]:
         path.unlink(missing_ok=True)
     write_whole(out / recipe_name, text.encode())
-    if label_names:
-        names = tomli_w.dumps({str(number): name for number, name in label_names.items()})
-        write_whole(out / LABEL_NAMES, names.encode())
+    write_label_names(out, label_names)
+
+
+def write_label_names(folder: Path, names: Mapping[int, str]) -> None:
+    """Write `labels.toml`; remove it if there are no names."""
+    import tomli_w
+
+    (folder / LABEL_NAMES).unlink(missing_ok=True)
+    if names:
+        text = tomli_w.dumps({str(number): name for number, name in names.items()})
+        write_whole(folder / LABEL_NAMES, text.encode())
 
 
 def _earlier_recipe(path: Path) -> Recipe:
@@ -137,7 +148,7 @@ def _earlier_recipe(path: Path) -> Recipe:
     except (OSError, ValueError):  # TOML and unicode errors are ValueErrors
         return {}
     names = recipe.get("files")
-    if not isinstance(names, list) or not {"version", "seed", "sensor"} <= recipe.keys():
+    if not isinstance(names, list):
         return {}
     is_own = all(Path(str(name)).name == name for name in names)
     return recipe if is_own else {}

@@ -6,6 +6,7 @@ poses of the camera with its calibration. Opens poses, calibration and manifest,
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -32,7 +33,7 @@ _SCAN_FOLDERS = ("velodyne", "real", ".")
 _POSE_FILES = ("poses.tum", "poses.txt")
 _CALIBRATION = "calib.txt"
 _TIMES = "times.txt"
-_TRANSFORMS = ("Tr", "Tr_velo_to_cam")
+_TRANSFORM = re.compile(r"^\s*Tr(?:_velo_to_cam)?\s*:(.*)", re.MULTILINE)
 _QUATERNION_TOLERANCE = 1e-2
 _TUM_NUMBERS, _KITTI_NUMBERS = 8, 12
 
@@ -172,12 +173,10 @@ def _kitti_motions(poses: Path, rows: FloatArray, calibration: Path) -> FloatArr
 def _read_calibration(path: Path, poses: Path) -> FloatArray:
     """(3, 4) float64, the line `Tr` of KITTI's calibration."""
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-        entries = [line.partition(":") for line in lines]
-        texts = [text for name, _, text in entries if name.strip() in _TRANSFORMS]
-        if not texts:
+        line = _TRANSFORM.search(path.read_text(encoding="utf-8"))
+        if line is None:
             raise ValueError("it has none")
-        numbers = np.array(texts[0].split(), dtype=np.float64)
+        numbers = np.array(line[1].split(), dtype=np.float64)
     except (OSError, ValueError) as error:
         raise DatasetError(
             f"{path}: expected a line Tr: with 12 numbers, from the sensor's frame to the camera's ({error}); "

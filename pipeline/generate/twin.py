@@ -18,13 +18,14 @@ import numpy as np
 from ...schemas.errors import FidpipeError, ScanError, StageError
 from ...schemas.sensor_models import SensorModel
 from ...schemas.settings import FRAME_AXES, InputSettings
-from ...stages.arrays import FloatArray
+from ...stages.arrays import FloatArray, moved
 from ...stages.clean import clean_scan
 from ...stages.generate.flaws import FLAWS, carried
 from ...stages.generate.ray_casting import fire, require_ray_caster
 from ...stages.generate.rescan import EMPTY_MAP, RECORDED, extend_map, recorded_directions, rescan
 from ..datasets.pairs import Dataset, ScanPair
 from ..datasets.readers import read_scan
+from ..engine.pool import one_blas_thread
 from ..engine.progress import Reporter
 from ..run import select_pairs
 from ..storage.files import hash_file, key_of, write_whole
@@ -105,8 +106,6 @@ def make_twins(
             f'input.real_frame: expected "ros", got "{real_frame}": poses and beams of a '
             f"recording require {FRAME_AXES['ros']}; convert its scans and poses first"
         )
-    if out.resolve() == recording.folder.resolve():
-        raise FidpipeError(f"dataset {out}: is the recording; expected a new or empty folder")
     frames = select_pairs(recording, pattern)
     names = recording.label_names
     pairs = []
@@ -176,9 +175,7 @@ def _rescan(task: _Task) -> tuple[FloatArray, FloatArray]:
     StageError
         Fewer than two of the other scans can be read, or no point remains.
     """
-    from threadpoolctl import threadpool_limits
-
-    with threadpool_limits(1):  # or the last bits would differ between machines
+    with one_blas_thread():  # or the last bits would differ between machines
         scan, _ = _read(task, task.frame)
         T_sensor_world = np.linalg.inv(square(task.frame.T_world_sensor or ()))
         voxels = EMPTY_MAP
@@ -189,7 +186,7 @@ def _rescan(task: _Task) -> tuple[FloatArray, FloatArray]:
             except ScanError:  # its own pair fails
                 continue
             motion = T_sensor_world @ square(frame.T_world_sensor or ())
-            voxels = extend_map(voxels, points @ motion[:3, :3].T + motion[:3, 3], intensity)
+            voxels = extend_map(voxels, moved(points, motion[:3]), intensity)
             others.append(points)
         if len(others) < _LEAST_OTHERS:
             raise StageError(

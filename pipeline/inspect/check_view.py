@@ -15,8 +15,6 @@ from ..report.views.answer_view import cause_items, unknown_words
 from ..results.causes import MOST_SHOWN, no_cause_words
 from .scan_checks import DatasetCheck
 
-_IN_JSON = ("notes", "doubts", "warnings", "faults", "sensors", "causes", "unknown")
-
 
 def check_json(dataset: DatasetCheck) -> Any:
     """The same for programs: inspection of each scan by pair and side (null if it is missing), and problems."""
@@ -24,8 +22,9 @@ def check_json(dataset: DatasetCheck) -> Any:
         {"pair_id": check.pair.pair_id, **dict.fromkeys(SIDES), **check.sides}
         for check in dataset.pairs
     ]
-    values = {name: getattr(dataset, name) for name in _IN_JSON}
-    return to_jsonable_python({"dataset": dataset.folder, "pairs": pairs} | values)
+    values = vars(dataset) | {"pairs": pairs}
+    values["dataset"] = values.pop("folder")
+    return to_jsonable_python(values)
 
 
 def check_view(dataset: DatasetCheck, run_command: str = "") -> View:
@@ -90,10 +89,10 @@ def _sensor_lines(dataset: DatasetCheck) -> list[Note]:
 
 def _causes(dataset: DatasetCheck) -> View:
     """The causes that a few pairs show."""
-    n_pairs = sum(bool(check.amounts) for check in dataset.pairs)
+    n_pairs = sum(bool(check.causes) for check in dataset.pairs)
     if not n_pairs:
         return []
     heading = Note(f"Seen in {count(n_pairs, 'pair')}", "bold")
     items = cause_items(dataset.causes[:MOST_SHOWN]) or items_of(no_cause_words(dataset.unknown))
     trust = items_of(*unknown_words(dataset.unknown))
-    return [heading, Answers([("Fix first", items), ("Trust", trust)])]
+    return [heading, Answers({"Fix first": items, "Trust": trust})]

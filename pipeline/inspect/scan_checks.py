@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 
-from ...schemas.columns import SIDES
+from ...schemas.columns import SIDES, Row
 from ...schemas.errors import FidpipeError, StageError
 from ...schemas.results import Cause, Unknown
 from ...schemas.settings import Settings
 from ...stages.arrays import transform_of
-from ...stages.causes.estimates import Amount
 from ...stages.clean import clean_scan, too_few_left
 from ...stages.frame_search import FrameCheck, check_frames
 from ...stages.ground import MIN_OBJECT_POINTS
@@ -80,7 +79,7 @@ class PairCheck:
     frames : of both scans together; None if one is missing or too little can be compared
     `fault` : reason why the pair could not be checked; the sides have those of their files
     samples : by side, scans of a pair that is compared with others
-    amounts : of its causes; {} if they are not estimated
+    causes : rows of the table `causes`; [] if they are not estimated
     """
 
     pair: ScanPair
@@ -88,7 +87,7 @@ class PairCheck:
     frames: FrameCheck | None = None
     fault: str | None = None
     samples: dict[str, SampledScan] = field(default_factory=dict)
-    amounts: dict[str, Amount] = field(default_factory=dict)
+    causes: list[Row] = field(default_factory=list)
 
     @property
     def faults(self) -> list[str]:
@@ -147,8 +146,8 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
         n_clean[side] = [check.sides[side].n_clean for check in checks if side in check.sides]
     warnings += sensor_doubts(samples, serious=False)
     warnings += side_warnings(samples, n_clean, stretches, settings.input)
-    estimated = [check for check in checks if check.amounts]
-    values = cause_values([check.amounts for check in estimated])
+    estimated = [check for check in checks if check.causes]
+    values = cause_values([check.causes for check in estimated])
     # copies of a real scan count once
     contents = [check.sides["real"].sha256 for check in estimated]
     blocks = blocks_of(contents, [check.pair.timestamp_s for check in estimated])
@@ -156,8 +155,8 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
         folder=folder,
         pairs=checks,
         sensors=describe_sides(samples),
-        causes=list(named_causes(values, blocks)),
-        unknown=list(unknown_causes(values)),
+        causes=named_causes(values, blocks),
+        unknown=unknown_causes(values),
         notes=side_notes(samples),
         doubts=[*_frame_doubts(checks), *sensor_doubts(samples, serious=True)],
         faults=faults,
@@ -185,10 +184,8 @@ def _check_pairs(
         n_workers=None if in_workers else 1,
         may_end_workers=in_workers,
     )
-    for pair in pairs:
-        if pair.pair_id in failures:
-            checks[pair.pair_id] = PairCheck(pair, fault=failures[pair.pair_id])
-    return [checks[pair.pair_id] for pair in pairs]
+    broken = {name: PairCheck(tasks[name][0], fault=reason) for name, reason in failures.items()}
+    return [(checks | broken)[name] for name in tasks]
 
 
 def check_pair(task: tuple[ScanPair, Settings, dict[int, str], bool, bool]) -> PairCheck:
@@ -210,18 +207,21 @@ def check_pair(task: tuple[ScanPair, Settings, dict[int, str], bool, bool]) -> P
         frames = check_frames(scans["real"].points, scans["sim"].points, settings.input, T_real_sim)
     if not is_sampled:
         return PairCheck(pair, checks, frames)
-    amounts: dict[str, Amount] = {}
+    causes: list[Row] = []
     sensors: dict[str, SensorDescription] = {}
     if with_causes and frames and not frames.doubt:
-        amounts, sensors = _estimate_causes(pair, scans, settings)
+        causes, sensors = _estimate_causes(pair, scans, settings)
     samples = {}
     for side, scan in scans.items():
         samples[side] = sample_scan(pair, side, scan, sensors.get(side), settings.input)
-    return PairCheck(pair, checks, frames, samples=samples, amounts=amounts)
+    return PairCheck(pair, checks, frames, samples=samples, causes=causes)
 
 
 def _check_scan(
-    pair: ScanPair, side: str, settings: Settings, label_names: dict[int, str]
+    pair: ScanPair,
+    side: str,
+    settings: Settings,
+    label_names: dict[int, str],
 ) -> tuple[ScanCheck, Scan]:
     """Check one scan; returns it too, without points if it cannot be read."""
     ref = pair.scans[side]
@@ -236,7 +236,7 @@ def _check_scan(
     n_clean = len(clean.points)
     fault = None
     if n_clean < MIN_OBJECT_POINTS:
-        fault = f"{ref}: {too_few_left(n_clean, MIN_OBJECT_POINTS, clean.dropped, inputs)}"
+        fault = f"{ref}: {too_few_left(clean, MIN_OBJECT_POINTS, inputs)}"
     check = ScanCheck(
         sha256=content.sha256,
         n_raw=len(scan.points),
@@ -252,19 +252,16 @@ def _check_scan(
 
 def _estimate_causes(
     pair: ScanPair, scans: Mapping[str, Scan], settings: Settings
-) -> tuple[dict[str, Amount], dict[str, SensorDescription]]:
-    """Amounts of the causes of a pair, and the sensors of both sides; {} if one of its jobs fails."""
+) -> tuple[list[Row], dict[str, SensorDescription]]:
+    """Rows of the causes of a pair, and the sensors of both sides; none if one of its jobs fails."""
     stages = [stage for stage in STAGES if stage.name in _STAGES]
     with one_blas_thread():
         try:
             tables, outputs = run_in_memory(stages, settings, pair=pair, scans=scans)
         except StageError:
-            return {}, {}
-    amounts = {}
-    for row in tables["causes", ""].to_pylist():
-        amounts[row["cause"]] = Amount(*(row[field.name] for field in fields(Amount)))
+            return [], {}
     sensors = {side: SensorDescription(**outputs["sensor", side]["sensor"]) for side in scans}
-    return amounts, sensors
+    return tables["causes", ""].to_pylist(), sensors
 
 
 def _pair_warnings(checks: Sequence[PairCheck]) -> list[str]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...schemas.columns import SIDE_NAMES, SIDES
 from ...schemas.settings import InputSettings
-from ...stages.arrays import FloatArray, transform_of
+from ...stages.arrays import FloatArray, moved, transform_of
 from ...stages.clean import as_ros, at_sensor, clean_scan
 from ...stages.inspect.sequence_checks import (
     MAX_FRAMES_LATE,
@@ -34,16 +34,15 @@ from ...stages.sensor_description import (
 from ...stages.trust import SERIOUS
 from ..datasets.pairs import ScanPair
 from ..datasets.readers.scan import Scan
+from ..report.view import count
 from ..results.overview import doubt_lines
 
 _STRETCH = 5
 
 
 def stretches_of(pairs: Sequence[ScanPair]) -> list[list[ScanPair]]:
-    """Two times a few neighbouring pairs, in order of time where it is known, else of their names."""
-    ordered = list(pairs)
-    if all(pair.timestamp_s is not None for pair in ordered):
-        ordered.sort(key=lambda pair: (pair.timestamp_s or 0.0, pair.pair_id))
+    """Two times a few neighbouring pairs, in order of time; those without one come first, by their names."""
+    ordered = sorted(pairs, key=lambda pair: (pair.timestamp_s or 0.0, pair.pair_id))
     if len(ordered) <= 2 * _STRETCH:
         return [ordered]
     first = len(ordered) // 4
@@ -88,8 +87,7 @@ def sample_scan(
         sensor = describe_sensor(points, scan.rings)
     uncut = settings.model_copy(update={"include_box": None, "voxel_m": None})
     clean = clean_scan(scan.points, uncut, frame=settings.frame_of(side)).points
-    T = transform_of(pair.motion(side))
-    placed = clean if T is None else clean @ T[:, :3].T + T[:, 3]
+    placed = moved(clean, transform_of(pair.motion(side)))
     notes = scan.notes
     if scan.times_s is not None and np.isfinite(scan.times_s).all():
         notes = (*notes, f"{np.ptp(scan.times_s):.3g} s from first to last point")
@@ -105,12 +103,8 @@ def describe_sides(samples: Samples) -> dict[str, SensorDescription]:
     for side, scans in samples.items():
         described = [scan.sensor for scan in scans.values() if scan.sensor]
         if described:
-            sensors[side] = max(described, key=_is_telling)
+            sensors[side] = max(described, key=lambda s: (bool(s.elevation_deg), s.n_points))
     return sensors
-
-
-def _is_telling(sensor: SensorDescription) -> tuple[bool, int]:
-    return bool(sensor.elevation_deg), sensor.n_points
 
 
 def sensor_doubts(samples: Samples, *, serious: bool) -> list[str]:
@@ -167,7 +161,7 @@ def side_warnings(
             )
     offset = find_time_offset([*zip(*sequences.values(), strict=True)])
     if offset and not lines:
-        lines.append(_offset_text(offset, stretches[0]))
+        lines.append(_offset_text(offset))
     for side, scans in samples.items():
         if is_moving(moved[side]):
             ground_m = float(np.median([scan.place.ground_m for scan in scans.values()]))
@@ -188,19 +182,14 @@ def _sequences(
     return sequences
 
 
-def _offset_text(offset: TimeOffset, pairs: Sequence[ScanPair]) -> str:
-    """By how many frames, and seconds by the times of some pairs, the simulated side is late."""
+def _offset_text(offset: TimeOffset) -> str:
+    """By how many frames the simulated side is late."""
     n_frames = abs(offset.frames)
-    lag = "a frame" if n_frames == 1 else f"{n_frames} frames"
-    if n_frames == MAX_FRAMES_LATE:
-        lag += " or more"
-    lag += " late" if offset.frames > 0 else " early"
-    times_s = [pair.timestamp_s for pair in pairs if pair.timestamp_s is not None]
-    if len(times_s) > 1:
-        lag += f" ({n_frames * float(np.median(np.diff(times_s))):.2g} s)"
+    or_more = " or more" if n_frames == MAX_FRAMES_LATE else ""
+    late = "late" if offset.frames > 0 else "early"
     return (
-        f"simulated scans seem {lag}: real ones are {offset.misfit_m:.2f} m from those of "
-        f"pair {offset.frames:+d}, {offset.as_paired_m:.2f} m from their own; "
+        f"simulated scans seem {count(n_frames, 'frame')}{or_more} {late}: real ones are "
+        f"{offset.misfit_m:.2f} m from those of pair {offset.frames:+d}, {offset.as_paired_m:.2f} m from their own; "
         "is fidpipe pair's --offset right, or is the simulated sensor mounted farther ahead or back?"
     )
 

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from contextlib import AbstractContextManager
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...schemas.columns import Row
+from ...schemas.columns import SIDES, Row
 from ...schemas.metric_catalogue import METRIC, scores_of
 from ...schemas.record import OF_OBJECTS, OF_SCAN
 from ...schemas.settings import Settings
 from ...stages.summary import mean_and_std
-from ..stage import Grain, Inputs, JobResult, Stage
+from ..stage import Inputs, JobResult, Stage
 from ..storage.table_files import JobRecord
 from .points_job import (
     MATCHED_OBJECTS,
@@ -40,20 +39,16 @@ def make_baselines(inputs: Inputs) -> JobResult:
         values = compare_points(
             real.points, sim.points, settings.metrics, nodes=nodes, watch=inputs.step
         )
-        rows += [_row(value, match["real_id"], match["sim_id"]) for value in values]
+        rows += [_row(value, match) for value in values]
 
-    def watch(name: str) -> AbstractContextManager[None]:
-        return inputs.step(f"{name}, whole scan")
-
-    _, real_points = object_points(inputs, "real")
-    _, sim_points = object_points(inputs, "sim")
-    values = compare_points(real_points, sim_points, settings.metrics, watch=watch)
+    real_points, sim_points = [object_points(inputs, side)[1] for side in SIDES]
+    values = compare_points(real_points, sim_points, settings.metrics, watch=inputs.step)
     if OF_SCANS in settings.metrics.baselines:
-        with watch(OF_SCANS):
-            real_scan = coordinates(inputs.table("ground", "real"))
-            values += nvs(real_scan, coordinates(inputs.table("ground", "sim")))
-    rows += [_row(value, None, None) for value in values]
-    return JobResult({"baselines": inputs.rows("baselines", rows)}, {"means": _means(rows)})
+        with inputs.step(OF_SCANS):
+            scans = [coordinates(inputs.table("ground", side)) for side in SIDES]
+            values += nvs(*scans)
+    rows += [_row(value, {}) for value in values]
+    return JobResult(inputs.rows("baselines", rows), {"means": _means(rows)})
 
 
 def summarise_baselines(records: Iterable[JobRecord], settings: Settings) -> dict[str, Any]:
@@ -85,16 +80,16 @@ def summarise_baselines(records: Iterable[JobRecord], settings: Settings) -> dic
     return {"baselines": summary}
 
 
-def _row(value: Baseline, real_id: int | None, sim_id: int | None) -> Row:
-    ids = {"real_id": real_id, "sim_id": sim_id}
-    return ids | {"baseline": value.name, "unit": value.unit} | vars(value)
+def _row(value: Baseline, match: Row) -> Row:
+    """The row of a baseline: of a matched object, or of whole scans, which have no ids."""
+    return match | {"baseline": value.name, "unit": value.unit} | vars(value)
 
 
 def _means(rows: list[Row]) -> list[Row]:
     """The pair's mean of each baseline over objects, and its value of the whole scan."""
     groups: dict[tuple[str, str], list[float | None]] = {}
     for row in rows:
-        level = OF_SCAN if row["real_id"] is None else OF_OBJECTS
+        level = OF_OBJECTS if "real_id" in row else OF_SCAN
         groups.setdefault((level, row["baseline"]), []).append(row["value"])
     means = []
     for (level, name), values in groups.items():
@@ -110,7 +105,6 @@ STAGE = Stage(
     takes=(*MATCHED_OBJECTS, "selection"),
     gives=("baselines",),
     settings=("metrics",),
-    grain=Grain.PAIR,
     version=4,
     make=make_baselines,
     libraries=("POT",),

@@ -10,7 +10,7 @@ from ...schemas.cause_catalogue import CAUSES
 from ...schemas.columns import SIDES
 from ...stages.arrays import transform_of
 from ...stages.sensor_description import SensorDescription
-from ..stage import FRAMES, OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
+from ..stage import FRAMES, OF_PAIR, Inputs, JobResult, Metadata, Stage
 from .points_job import cut_scan, sensor_of
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def make_causes(inputs: Inputs) -> JobResult:
     rows = []
     for name, cause in CAUSES.items():
         rows.append({"cause": name, "unit": cause.unit} | vars(amounts.get(name, unknown)))
-    return JobResult({"causes": inputs.rows("causes", rows)}, {OF_PAIR: distances, POSE: pose})
+    return JobResult(inputs.rows("causes", rows), {OF_PAIR: distances, POSE: pose})
 
 
 def _doubts(inputs: Inputs) -> dict[str, str]:
@@ -113,7 +113,6 @@ STAGE = Stage(
     takes=("ground", "sensor", "rays"),
     gives=("causes",),
     settings=("input",),
-    grain=Grain.PAIR,
     make=make_causes,
     version=13,
     libraries=("scikit-learn",),

@@ -20,7 +20,7 @@ from ..stage import Grain, Inputs, JobResult, Stage
 from .points_job import (
     annotation_in,
     column,
-    graph_edges,
+    edges_in,
     object_columns,
     object_points,
 )
@@ -39,7 +39,7 @@ def make_communities(inputs: Inputs) -> JobResult:
         labels = column(inputs.table("communities", "real"), "community_id")
         reference = ReferenceObjects(object_points(inputs, "real")[1], labels)
     settings = inputs.settings.communities
-    edges = graph_edges(inputs, inputs.part)
+    edges = edges_in(point_ids, inputs.table("graph", inputs.part))
     with inputs.step("louvain"):
         if settings.objects == "independent":
             labels = find_communities(len(points), edges, settings)
@@ -56,11 +56,8 @@ def make_communities(inputs: Inputs) -> JobResult:
             n_ids = reference.n_objects if reference else 0
             objects = describe_objects(points[order], labels[order], n_ids)
     of_points = {"point_id": point_ids, "community_id": labels}
-    tables = {
-        "communities": inputs.columns("communities", of_points),
-        "objects": inputs.columns("objects", _columns(objects, labels, noted)),
-    }
-    return JobResult(tables)
+    tables = inputs.columns("communities", of_points)
+    return JobResult(tables | inputs.columns("objects", _columns(objects, labels, noted)))
 
 
 def _columns(objects: Objects, community: IntArray, noted: Annotation) -> Row:
@@ -70,9 +67,8 @@ def _columns(objects: Objects, community: IntArray, noted: Annotation) -> Row:
         "community_id": np.arange(len(objects.n_points)),
         "label": majority_labels(community, names, len(objects.n_points)),
     }
-    for name, values in zip(("linearity", "planarity", "scattering"), objects.shape.T, strict=True):
-        columns[name] = values
-    return columns
+    shape = zip(("linearity", "planarity", "scattering"), objects.shape.T, strict=True)
+    return columns | dict(shape)
 
 
 def _takes_real(settings: Settings) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ import numpy as np
 from ...schemas.columns import SIDES, Row
 from ...schemas.metric_catalogue import COVERAGE_REACHES
 from ...stages.coverage import Coverage, below_cut, cover, nearest_distances
-from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
+from ..stage import OF_PAIR, Inputs, JobResult, Metadata, Stage
 from .points_job import column, object_points
 
 _COVERED = [f"covered_{reach}" for reach in COVERAGE_REACHES]
@@ -31,7 +31,7 @@ def make_coverage(inputs: Inputs) -> JobResult:
         parts.append(_columns(whole) | {"side": side})
         for reach, share in zip(COVERAGE_REACHES, whole.covered[0].tolist(), strict=True):
             of_pair[f"covered_{side}_{reach}"] = share
-    return JobResult({"coverage": inputs.columns("coverage", *parts)}, {OF_PAIR: of_pair})
+    return JobResult(inputs.columns("coverage", *parts), {OF_PAIR: of_pair})
 
 
 def _columns(coverage: Coverage) -> Row:
@@ -42,7 +42,6 @@ STAGE = Stage(
     name="coverage",
     takes=("ground", "communities", "objects"),
     gives=("coverage",),
-    grain=Grain.PAIR,
     version=2,
     make=make_coverage,
 )

@@ -16,7 +16,6 @@ from ..stage import (
     DISTANCES,
     OF_PAIR,
     UNEXPLAINED,
-    Grain,
     Inputs,
     JobResult,
     Stage,
@@ -35,7 +34,7 @@ def make_gains(inputs: Inputs) -> JobResult:
     scans = pair_scans(inputs)
     rng = np.random.default_rng(SEED)
     causes = inputs.table("causes")
-    of_pair = dict(zip(causes["cause"].to_pylist(), causes["amount"].to_pylist(), strict=True))
+    of_pair = {row["cause"]: row["amount"] for row in causes.to_pylist()}
     with inputs.step("gains"):
         made = corrections(scans, pose, of_pair, amounts, rng)
         best_case_m = inputs.metadata("causes")[OF_PAIR]["surface_best_case_m"]
@@ -50,7 +49,7 @@ def _result(inputs: Inputs, gains: Shares) -> JobResult:
         DISTANCES: [gains.before_m, gains.after_m, gains.best_case_m],
         AMOUNTS: dict(inputs.arguments),
     }
-    return JobResult({"gains": inputs.rows("gains", rows)}, metadata)
+    return JobResult(inputs.rows("gains", rows), metadata)
 
 
 def gains_stage(amounts: dict[str, float]) -> Stage:
@@ -63,7 +62,6 @@ STAGE = Stage(
     takes=("ground", "sensor", "causes"),
     gives=("gains",),
     settings=("input",),
-    grain=Grain.PAIR,
     make=make_gains,
     is_wanted=lambda settings: False,
 )

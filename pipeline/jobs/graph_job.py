@@ -17,8 +17,7 @@ def make_graph(inputs: Inputs) -> JobResult:
         "dst": point_ids[edges.dst],
         "length_m": edges.length_m,
     }
-    table = inputs.columns("graph", columns)
-    return JobResult({"graph": table}, {"n_edges": len(edges.src)})
+    return JobResult(inputs.columns("graph", columns), {"n_edges": len(edges.src)})
 
 
 STAGE = Stage(
@@ -27,6 +26,5 @@ STAGE = Stage(
     gives=("graph",),
     settings=("graph",),
     grain=Grain.SIDE,
-    version=1,
     make=make_graph,
 )

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import pyarrow as pa
 
+from ...schemas.columns import Row
 from ...schemas.errors import StageError
 from ...schemas.settings import Settings
 from ...stages.arrays import FloatArray, transform_of
-from ...stages.clean import CleanResult
-from ...stages.ground import GroundResult, remove_road
+from ...stages.clean import CleanResult, clean_scan, too_few_left
+from ...stages.ground import MIN_OBJECT_POINTS, GroundResult, remove_ground
 from ...stages.plausibility import inspect_points
 from ..datasets.readers.scan import Scan
 from ..stage import (
@@ -23,7 +23,7 @@ from ..stage import (
     Metadata,
     Stage,
 )
-from .points_job import cut_scan
+from .points_job import by_axis, cut_scan
 
 _MEASURES = ("peak_m", "threshold_m", "loss", "iterations", "tilt_deg")
 
@@ -38,34 +38,31 @@ def make_ground(inputs: Inputs) -> JobResult:
     """
     with inputs.step("read"):
         scan = inputs.scans[inputs.part]()
+    settings = inputs.settings
     with inputs.step("inspect"):
         T_real_sim = transform_of(inputs.T_real_sim)
-        inspection = inspect_points(scan.points, inputs.part, inputs.settings.input, T_real_sim)
-    real_cut, real_points = _real_side(inputs)
+        inspection = inspect_points(scan.points, inputs.part, settings.input, T_real_sim)
+    with inputs.step("clean"):
+        frame = settings.input.frame_of(inputs.part)
+        clean = clean_scan(scan.points, settings.input, frame=frame, T_real_sim=T_real_sim)
     try:
-        clean, cut = remove_road(
-            scan.points,
-            inputs.settings,
-            inputs.part,
-            T_real_sim=T_real_sim,
-            real_cut=real_cut,
-            real_points=real_points,
-            watch=inputs.step,
-        )
+        if len(clean.points) < MIN_OBJECT_POINTS:
+            raise StageError(too_few_left(clean, MIN_OBJECT_POINTS, settings.input))
+        with inputs.step("ground"):
+            cut = remove_ground(clean.points, settings.ground, *_real_side(inputs))
     except StageError as error:
         raise StageError("; ".join((str(error), *inspection.warnings))) from error
     metadata = _metadata(inputs.part, scan, clean, cut)
     metadata |= {INSPECTION: inspection, "T_real_sim": inputs.T_real_sim}
-    return JobResult({"ground": _rows(inputs, scan, clean, cut)}, metadata)
+    return JobResult(inputs.columns("ground", _columns(scan, clean, cut)), metadata)
 
 
-def _rows(inputs: Inputs, scan: Scan, clean: CleanResult, cut: GroundResult) -> pa.Table:
+def _columns(scan: Scan, clean: CleanResult, cut: GroundResult) -> Row:
     """The clean points with their ground flags."""
     ids = clean.point_ids
-    columns = vars(cut) | dict(zip("xyz", clean.points.T, strict=True)) | {"point_id": ids}
+    columns = {"point_id": ids} | vars(cut) | by_axis("{}", clean.points)
     optional = {"intensity": scan.intensity, "label": scan.labels, "instance": scan.instances}
-    columns |= {name: values[ids] for name, values in optional.items() if values is not None}
-    return inputs.columns("ground", columns)
+    return columns | {name: values[ids] for name, values in optional.items() if values is not None}
 
 
 def _metadata(side: str, scan: Scan, clean: CleanResult, cut: GroundResult) -> Metadata:
@@ -77,8 +74,13 @@ def _metadata(side: str, scan: Scan, clean: CleanResult, cut: GroundResult) -> M
     measures["removed_share"] = n_ground / n_clean
     of_pair = {f"n_{side}_{name[2:]}": count for name, count in counts.items()}
     of_pair |= {f"ground_{side}_{name}": value for name, value in measures.items()}
-    others = {"dropped": clean.dropped, "axis": cut.axis.tolist(), "notes": list(cut.notes)}
-    return counts | measures | others | {OF_PAIR: of_pair}
+    others = {
+        "dropped": clean.dropped,
+        "axis": cut.axis.tolist(),
+        "notes": list(cut.notes),
+        OF_PAIR: of_pair,
+    }
+    return counts | measures | others
 
 
 def _takes_real(settings: Settings) -> tuple[str, ...]:

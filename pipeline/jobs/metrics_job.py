@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 import pyarrow as pa
 
-from ...schemas.columns import SIDES, Row
 from ...schemas.metric_catalogue import OBJECT_METRICS
-from ...schemas.results import Number
 from ...stages.arrays import FloatArray
 from ...stages.metrics import score_object
 from ...stages.summary import summarise_pair
@@ -23,46 +19,33 @@ def make_metrics(inputs: Inputs) -> JobResult:
     rows = []
     for match, real, sim in matched_objects(inputs):
         nodes = kept_nodes(selection, match["real_id"], real, sim)
-        row: Row = {
-            "real_id": match["real_id"],
-            "sim_id": match["sim_id"],
-            "centroid_distance_m": match["centroid_distance_m"],
+        row = match | {
             "n_real": len(real.points),
             "n_sim": len(sim.points),
             "n_keep": len(nodes.real_nodes),
         }
         rows.append(row | vars(score_object(real, sim, nodes, watch=inputs.step)))
-    return JobResult({"metrics": inputs.rows("metrics", rows)})
+    return JobResult(inputs.rows("metrics", rows))
 
 
 def gather_metrics(inputs: Inputs, tables: Tables) -> Metadata:
-    """The pair's columns of `pairs`."""
-    objects = {side: inputs.table("objects", side) for side in SIDES}
-    return {OF_PAIR: pair_scores(tables["metrics"], inputs.table("matching"), objects)}
-
-
-def pair_scores(
-    metrics: pa.Table, matching: pa.Table, objects: Mapping[str, pa.Table]
-) -> dict[str, Number]:
-    """Counts, match rate, ranges, and means over the matched objects.
-
-    Parameters
-    ----------
-    objects : by side
-    """
+    """The pair's columns of `pairs`: counts, match rate, ranges, and means over the matched objects."""
+    metrics = tables["metrics"]
+    matching = inputs.table("matching")
     statuses = np.array(matching.column("status").to_pylist(), dtype=object)
 
     def range_of(side: str, status: str) -> FloatArray:
         ids = matching.column(f"{side}_id").filter(pa.array(statuses == status)).to_numpy()
-        return column(objects[side], "range_m")[ids]
+        return column(inputs.table("objects", side), "range_m")[ids]
 
-    return summarise_pair(
-        {metric: metrics.column(metric).to_numpy() for metric in OBJECT_METRICS},
+    of_pair = summarise_pair(
+        {metric: column(metrics, metric) for metric in OBJECT_METRICS},
         metrics.column("status").to_pylist(),
         range_of("real", "matched"),
         range_of("real", "not_found"),
         range_of("sim", "extra"),
     )
+    return {OF_PAIR: of_pair}
 
 
 STAGE = Stage(

@@ -8,8 +8,8 @@ import pyarrow as pa
 from ...schemas.columns import SIDES, Row
 from ...stages.objects import majority_labels
 from ...stages.pieces import Pieces, count_pieces, find_pieces
-from ..stage import OF_PAIR, Grain, Inputs, JobResult, Stage
-from .points_job import cut_scan, object_columns
+from ..stage import OF_PAIR, Inputs, JobResult, Stage
+from .points_job import by_axis, cut_scan, object_columns
 
 
 def make_pieces(inputs: Inputs) -> JobResult:
@@ -24,23 +24,20 @@ def make_pieces(inputs: Inputs) -> JobResult:
         known = table.column("label").filter(pa.array(inside)).to_pylist()
         labels = majority_labels(pieces.labels[inside], known, len(pieces.partner)) if known else []
         parts.append(_columns(pieces) | {"side": side, "label": labels})
-    table = inputs.columns("pieces", *parts)
-    return JobResult({"pieces": table}, {OF_PAIR: count_pieces(*both)})
+    return JobResult(inputs.columns("pieces", *parts), {OF_PAIR: count_pieces(*both)})
 
 
 def _columns(pieces: Pieces) -> Row:
     """One row per piece, without its side and its class."""
     has_moved = pieces.partner >= 0
-    columns = object_columns(pieces.objects) | {
+    columns = {
         "piece_id": np.arange(len(has_moved)),
         "bearing_deg": pieces.bearing_deg,
         "height_m": pieces.height_m,
         "fate": np.where(has_moved, "moved", "gone"),
         "partner_id": np.where(has_moved, pieces.partner, np.nan),
     }
-    for i, axis in enumerate("xyz"):
-        columns[f"moved_{axis}_m"] = pieces.moved_m[:, i]
-    return columns
+    return columns | object_columns(pieces.objects) | by_axis("moved_{}_m", pieces.moved_m)
 
 
 STAGE = Stage(
@@ -48,6 +45,5 @@ STAGE = Stage(
     takes=("ground",),
     gives=("pieces",),
     settings=("pieces",),
-    grain=Grain.PAIR,
     make=make_pieces,
 )

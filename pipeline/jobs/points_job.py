@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from ...schemas.columns import SIDES
+from ...schemas.columns import SIDES, Row
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.linalg.subgraph import Edges, Subgraph, split_by_community
 from ...stages.objects import Objects
@@ -44,11 +44,6 @@ def annotation_in(ground: pa.Table) -> Annotation:
     )
 
 
-def graph_edges(inputs: Inputs, side: str) -> Edges:
-    """The graph of a side by node index, its nodes being the object points in order."""
-    return edges_in(object_points(inputs, side)[0], inputs.table("graph", side))
-
-
 def matched_objects(inputs: Inputs) -> Iterator[tuple[dict[str, Any], Subgraph, Subgraph]]:
     """The objects that the job is about: each with its row of `matching`, and as a subgraph of both sides.
 
@@ -62,23 +57,26 @@ def matched_objects(inputs: Inputs) -> Iterator[tuple[dict[str, Any], Subgraph, 
             graphs.append(inputs.memo(_matched_subgraphs, *tables, matching, f"{side}_id"))
     matched = _matched(matching)
     if inputs.objects:
-        matched = matched.filter(pa.array(np.isin(column(matched, "real_id"), inputs.objects)))
+        is_in_batch = np.isin(column(matched, "real_id"), inputs.objects)
+        matched = matched.filter(pa.array(is_in_batch))
     for match in matched.to_pylist():
         yield match, graphs[0][match["real_id"]], graphs[1][match["sim_id"]]
 
 
-def coordinates(table: pa.Table) -> FloatArray:
-    """The coordinates of points, (n, 3) float64 metres."""
-    return np.column_stack([column(table, axis) for axis in "xyz"])
+def coordinates(table: pa.Table, name: str = "{}") -> FloatArray:
+    """The coordinates of points, (n, 3) float64 metres, in columns of these names with the axis in place of {}."""
+    return np.column_stack([column(table, name.format(axis)) for axis in "xyz"])
 
 
-def object_columns(objects: Objects) -> dict[str, Any]:
+def object_columns(objects: Objects) -> Row:
     """Size and place of objects, by column of a table."""
     columns = {"n_points": objects.n_points, "range_m": objects.range_m}
-    for i, axis in enumerate("xyz"):
-        columns[f"c{axis}"] = objects.centroid[:, i]
-        columns[f"extent_{axis}"] = objects.extent[:, i]
-    return columns
+    return columns | by_axis("c{}", objects.centroid) | by_axis("extent_{}", objects.extent)
+
+
+def by_axis(name: str, values: FloatArray) -> Row:
+    """The columns of (n, 3) values, by names with the axis in place of {}."""
+    return {name.format(axis): values[:, i] for i, axis in enumerate("xyz")}
 
 
 def sensor_of(inputs: Inputs, side: str) -> SensorDescription:
@@ -99,7 +97,7 @@ def points_in(ground: pa.Table) -> tuple[IntArray, FloatArray]:
 
 
 def edges_in(point_ids: IntArray, graph: pa.Table) -> Edges:
-    """See `graph_edges`."""
+    """The graph of a side by node index, its nodes being the object points in order."""
     index_of = np.zeros(int(point_ids[-1]) + 1, dtype=np.int32)
     index_of[point_ids] = np.arange(len(point_ids), dtype=np.int32)
     src = index_of[column(graph, "src")]
@@ -108,7 +106,11 @@ def edges_in(point_ids: IntArray, graph: pa.Table) -> Edges:
 
 
 def _matched_subgraphs(
-    ground: pa.Table, graph: pa.Table, communities: pa.Table, matching: pa.Table, id_column: str
+    ground: pa.Table,
+    graph: pa.Table,
+    communities: pa.Table,
+    matching: pa.Table,
+    id_column: str,
 ) -> dict[int, Subgraph]:
     point_ids, points = points_in(ground)
     edges = edges_in(point_ids, graph)

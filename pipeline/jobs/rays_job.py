@@ -22,7 +22,7 @@ from ...stages.rays import (
     find_rays,
     score_rays,
 )
-from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
+from ..stage import OF_PAIR, Inputs, JobResult, Metadata, Stage
 from .points_job import column, coordinates, sensor_of
 
 
@@ -35,10 +35,10 @@ def make_rays(inputs: Inputs) -> JobResult:
         rays = _rays(inputs, ground)
     if isinstance(rays, str):
         of_pair["rays_reason"] = rays
-        tables = {name: inputs.rows(name, []) for name in ("rays", "ray_scores")}
+        tables = inputs.rows("rays", []) | inputs.rows("ray_scores", [])
         return JobResult(tables, {OF_PAIR: of_pair})
-    table = inputs.columns("rays", _columns(rays, ground))
-    label = table.column("label").combine_chunks()
+    tables = inputs.columns("rays", _columns(rays, ground))
+    label = tables["rays"].column("label").combine_chunks()
     scores = score_rays(rays)
     of_pair |= scores
     rows = [{"by": "all", "band": ""} | scores]
@@ -49,8 +49,7 @@ def make_rays(inputs: Inputs) -> JobResult:
         rows.append(row)
     with inputs.step("intensity"):
         of_pair |= _intensity_scores(inputs, rays, ground, label)
-    tables = {"rays": table, "ray_scores": inputs.rows("ray_scores", rows)}
-    return JobResult(tables, {OF_PAIR: of_pair})
+    return JobResult(tables | inputs.rows("ray_scores", rows), {OF_PAIR: of_pair})
 
 
 def _rays(inputs: Inputs, ground: Sequence[pa.Table]) -> Rays | str:
@@ -70,7 +69,8 @@ def _rays(inputs: Inputs, ground: Sequence[pa.Table]) -> Rays | str:
         real = real - position
         sim = sim - position
         T_real_sim = seen_from(position, T_real_sim)
-    return find_rays(real, sim, (sensor_of(inputs, "real"), sensor_of(inputs, "sim")), T_real_sim)
+    sensors = sensor_of(inputs, "real"), sensor_of(inputs, "sim")
+    return find_rays(real, sim, sensors, T_real_sim)
 
 
 def _intensity_scores(
@@ -89,18 +89,17 @@ def _columns(rays: Rays, ground: Sequence[pa.Table]) -> Row:
     """One row per ray, with the class of the real return, else of the simulated one."""
     import pyarrow.compute as pc
 
-    ids = []
+    columns = dict(vars(rays))
     labels = []
-    for points, rows in zip(ground, (rays.real_row, rays.sim_row), strict=True):
-        returned = pa.array(rows, mask=rows < 0)
-        ids.append(points.column("point_id").combine_chunks().take(returned))
-        labels.append(points.column("label").combine_chunks().take(returned))
-    return vars(rays) | {
-        "real_point_id": ids[0],
-        "sim_point_id": ids[1],
-        "outcome": pa.array(OUTCOMES).take(pa.array(rays.outcome)),
-        "label": pc.if_else(pa.array(rays.real_row >= 0), *labels).cast(pa.string()),
-    }
+    for side, points in zip(SIDES, ground, strict=True):
+        rows = columns[f"{side}_row"]
+        returned = points.select(("point_id", "label")).take(pa.array(rows, mask=rows < 0))
+        columns[f"{side}_point_id"] = returned["point_id"]
+        labels.append(returned["label"])
+    columns["outcome"] = pa.array(OUTCOMES).take(pa.array(rays.outcome))
+    has_real = pa.array(rays.real_row >= 0)
+    columns["label"] = pc.if_else(has_real, *labels).cast(pa.string())
+    return columns
 
 
 def _groups(rays: Rays, label: pa.Array) -> Iterator[tuple[str, str, BoolArray]]:
@@ -128,6 +127,5 @@ STAGE = Stage(
     takes=("ground", "sensor"),
     gives=("rays", "ray_scores"),
     settings=("input",),
-    grain=Grain.PAIR,
     make=make_rays,
 )

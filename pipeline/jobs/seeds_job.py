@@ -16,7 +16,7 @@ from ...schemas.columns import SIDES
 from ...schemas.metric_catalogue import SEEDED_SCORES
 from ...schemas.settings import Settings
 from ...stages.statistics.spread import spread
-from ..stage import OF_PAIR, Grain, Inputs, JobResult, Metadata, Stage
+from ..stage import OF_PAIR, Inputs, JobResult, Metadata, Stage
 from ..storage.table_files import JobRecord
 from . import communities_job
 from .scoring import score_pair
@@ -38,7 +38,7 @@ def make_seeds(inputs: Inputs) -> JobResult:
     by_score: Metadata = {}
     for name in SEEDED_SCORES:
         by_score[name] = [row[name] for row in rows]
-    return JobResult({"seeds": inputs.rows("seeds", rows)}, {"scores": by_score})
+    return JobResult(inputs.rows("seeds", rows), {"scores": by_score})
 
 
 def summarise_seeds(records: Iterable[JobRecord], settings: Settings) -> dict[str, Any]:
@@ -57,7 +57,6 @@ STAGE = Stage(
     takes=("ground", "graph", "metrics"),
     gives=("seeds",),
     settings=("communities", "matching", "pieces", "selection", "stability"),
-    grain=Grain.PAIR,
     version=2,
     make=make_seeds,
     libraries=(*communities_job.STAGE.libraries, "POT"),

@@ -14,13 +14,13 @@ def make_selection(inputs: Inputs) -> JobResult:
     parts = []
     for match, real, sim in matched_objects(inputs):
         kept = select_nodes(real, sim, inputs.settings.selection, watch=inputs.step)
-        columns = vars(kept) | {
+        columns = {
             "rank": np.arange(len(kept.real_nodes), dtype=np.int32),
             "real_point_id": real.point_ids[kept.real_nodes],
             "sim_point_id": sim.point_ids[kept.sim_nodes],
         }
-        parts.append(columns | {name: match[name] for name in ("real_id", "sim_id")})
-    return JobResult({"selection": inputs.columns("selection", *parts)})
+        parts.append(match | vars(kept) | columns)
+    return JobResult(inputs.columns("selection", *parts))
 
 
 STAGE = Stage(
@@ -29,7 +29,6 @@ STAGE = Stage(
     gives=("selection",),
     settings=("selection",),
     grain=Grain.OBJECT,
-    version=1,
     make=make_selection,
     libraries=("POT",),
 )

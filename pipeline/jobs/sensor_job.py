@@ -23,7 +23,7 @@ def make_sensor(inputs: Inputs) -> JobResult:
     metadata: Metadata = {"sensor": sensor, OF_PAIR: pair_columns(sensor, inputs.part)}
     if inputs.part == "sim" and "real" in inputs.scans:
         metadata[FRAMES] = _frame_check(inputs, scan)
-    return JobResult({"sensor": inputs.rows("sensor", [sensor_row(sensor)])}, metadata)
+    return JobResult(inputs.rows("sensor", [sensor_row(sensor)]), metadata)
 
 
 def _frame_check(inputs: Inputs, sim: Scan) -> FrameCheck | None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...schemas.columns import Row
+from ...schemas.columns import SIDES, Row
 from ...schemas.settings import Settings
 from ...stages.objects import majority_labels
 from ...stages.pieces import CutScan
@@ -22,9 +22,9 @@ from ...stages.tasks import (
     compare_obstacles,
     compare_occupancy,
 )
-from ..stage import Grain, Inputs, JobResult, Stage
+from ..stage import Inputs, JobResult, Stage
 from ..storage.table_files import JobRecord
-from .points_job import column, cut_scan
+from .points_job import by_axis, column, cut_scan
 
 _WITHOUT_PARTNER = {"real": "lost", "sim": "added"}
 _TASKS = {
@@ -37,8 +37,7 @@ _TASKS = {
 def make_tasks(inputs: Inputs) -> JobResult:
     """Compare both scans in each requested task; the metadata hold the gaps over everything."""
     settings = inputs.settings.tasks
-    real = cut_scan(inputs.table("ground", "real"))
-    sim = cut_scan(inputs.table("ground", "sim"))
+    real, sim = [cut_scan(inputs.table("ground", side)) for side in SIDES]
     gaps: list[Gap] = []
     obstacles: list[Row] = []
     for name in settings.names:
@@ -50,10 +49,8 @@ def make_tasks(inputs: Inputs) -> JobResult:
                 obstacles.append(_obstacle_columns(inputs, "sim", sim, task.sim))
             else:
                 gaps += _TASKS[name](real, sim, settings)
-    tables = {
-        "tasks": inputs.rows("tasks", map(asdict, gaps)),
-        "task_objects": inputs.columns("task_objects", *obstacles),
-    }
+    tables = inputs.rows("tasks", map(asdict, gaps))
+    tables |= inputs.columns("task_objects", *obstacles)
     return JobResult(tables, {"gaps": [asdict(gap) for gap in gaps if gap.group == ALL]})
 
 
@@ -91,10 +88,8 @@ def _obstacle_columns(inputs: Inputs, side: str, scan: CutScan, obstacles: Obsta
         "partner_id": np.where(partner >= 0, partner, np.nan),
         "iou": obstacles.iou[rows],
     }
-    for i, axis in enumerate("xyz"):
-        columns[f"c{axis}"] = obstacles.centre[rows, i]
-        columns[f"extent_{axis}"] = obstacles.size_m[rows, i]
-    return columns
+    columns |= by_axis("c{}", obstacles.centre[rows])
+    return columns | by_axis("extent_{}", obstacles.size_m[rows])
 
 
 STAGE = Stage(
@@ -102,7 +97,6 @@ STAGE = Stage(
     takes=("ground", "communities"),
     gives=("tasks", "task_objects"),
     settings=("tasks",),
-    grain=Grain.PAIR,
     make=make_tasks,
     libraries=("scikit-learn",),
     is_wanted=lambda settings: bool(settings.tasks.names),

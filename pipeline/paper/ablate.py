@@ -16,9 +16,9 @@ from pydantic import BaseModel
 
 from ...schemas.columns import SIDES, Row
 from ...schemas.errors import SettingsError
-from ...schemas.metric_catalogue import DATASET_SCORES, OBJECT_METRICS
+from ...schemas.metric_catalogue import DATASET_SCORES
 from ...schemas.settings import Settings, parse
-from ..datasets.readers.scan_ref import scan_ref
+from ..datasets.pairs import read_dataset
 from ..engine.progress import Reporter
 from ..engine.worker import run_in_memory
 from ..jobs import ground_job
@@ -28,7 +28,6 @@ from ..stage import Inputs, JobResult
 from .experiment import (
     ExperimentOutcome,
     experiment_stage,
-    read_source,
     run_experiment,
     run_stages,
     settings_of,
@@ -61,13 +60,6 @@ class AblateSettings(Settings):
 
 #: The ablated settings by name, which is also their column of `ablate`, with their group.
 PARAMETERS = {"k": "graph", "tau_m": "graph", "delta_m": "matching", "t": "selection"}
-_SUMMARY = (
-    "n_communities_real",
-    "n_communities_sim",
-    "n_matched",
-    "match_rate",
-    *(f"{metric}_mean" for metric in OBJECT_METRICS),
-)
 
 
 def make_ablation(inputs: Inputs) -> JobResult:
@@ -83,9 +75,8 @@ def make_ablation(inputs: Inputs) -> JobResult:
             used = with_parameters(settings, parameters)
             if tables is None:
                 tables, _ = run_in_memory(PARTITION, used, tables=ground)
-            summary = score_pair(used, tables)
-            rows.append(parameters._asdict() | {name: summary[name] for name in _SUMMARY})
-    return JobResult({"ablate": inputs.rows("ablate", rows)})
+            rows.append(parameters._asdict() | score_pair(used, tables))
+    return JobResult(inputs.rows("ablate", rows))
 
 
 STAGE = experiment_stage("ablate", 4, ("ablate",), make_ablation)
@@ -129,11 +120,7 @@ def ablate_dataset(
     tried = {name: sorted({*requested[name], getattr(base, name)}) for name in PARAMETERS}
     for parameters in parameter_sets(base, tried):
         with_parameters(settings, parameters)  # raises before any work
-    source = read_source(dataset)
-    if scan_ref(dataset).exists:
-        raise SettingsError(
-            f"{dataset}: is a scan; expected a dataset with real and simulated scans",
-        )
+    source = read_dataset(dataset)
     return run_experiment(
         STAGE,
         source,

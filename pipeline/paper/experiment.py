@@ -17,7 +17,6 @@ import pandas as pd
 import pyarrow as pa
 
 from ...schemas.columns import Row
-from ...schemas.errors import ScanError
 from ...schemas.record import RunHeader
 from ...schemas.settings import Settings
 from ...schemas.tables import TABLES
@@ -29,11 +28,11 @@ from ..engine.progress import Reporter
 from ..engine.worker import PairTables, run_in_memory
 from ..jobs import STAGES, baselines_job
 from ..run import Run
-from ..run_tables import records_of
-from ..stage import SCAN, Grain, Inputs, JobResult, Metadata, Stage
+from ..run_tables import records_of, write_table
+from ..stage import SCAN, Inputs, JobResult, Stage
 from ..storage.files import key_of
 from ..storage.folder import RunFolder, check_folder
-from ..storage.run_record import write_record
+from ..storage.run_record import library_versions, write_record
 from ..storage.table_files import JobRecord
 
 #: From the tables of all pairs by name, frames with a row per score and its `value`.
@@ -46,7 +45,7 @@ class ExperimentOutcome:
 
     failures : reasons by failed pair
     n_made, n_reused : number of pairs
-    metadata : metadata by finished pair
+    pairs : names of the finished ones
     tables : all tables over all pairs, by name
     """
 
@@ -55,7 +54,7 @@ class ExperimentOutcome:
     failures: dict[str, str]
     n_made: int
     n_reused: int
-    metadata: dict[str, Metadata]
+    pairs: list[str]
     tables: dict[str, pa.Table]
 
 
@@ -80,7 +79,6 @@ def experiment_stage(
         takes=(SCAN,),
         gives=tables,
         settings=(*groups, name),
-        grain=Grain.PAIR,
         version=version + sum(stage.version for stage in stages),
         make=make,
         libraries=tuple(dict.fromkeys(libraries)),
@@ -98,7 +96,7 @@ def run_stages(inputs: Inputs, stages: Sequence[Stage], sides: Sequence[str]) ->
     """Tables of stages on some sides of a pair, in memory."""
     scans = {side: inputs.scans[side]() for side in sides}
     pair = ScanPair(inputs.pair_id, None, None, T_real_sim=inputs.T_real_sim)
-    return run_in_memory(stages, settings_of(inputs.settings), pair=pair, scans=scans)[0]
+    return run_in_memory(stages, inputs.settings, pair=pair, scans=scans)[0]
 
 
 def read_source(path: Path) -> Dataset:
@@ -146,8 +144,6 @@ def run_experiment(
     RunError
         The folder holds something else, is in use, or holds a finished experiment of another
         request.
-    ScanError
-        The only scan cannot be evaluated.
     """
     check_folder(out, source.folder, stage.name)
     folder = RunFolder(out)
@@ -157,38 +153,28 @@ def run_experiment(
         run.survey_results(replace=replace_finished)
         with run.schedule(Machines(n_workers)) as schedule:
             schedule.run()
-        failures = run.collector.failures
-        if failures and scan_ref(source.folder).exists:
-            raise ScanError("; ".join(failures.values()))
         records = list(records_of(folder, (stage,), [pair.pair_id for pair in source.pairs]))
         tables = _write_tables(stage, folder, records, scores)
-        metadata = {record.pair_id: record.metadata for record in records}
-        run.write_results(metadata)
+        run.write_results()
     return ExperimentOutcome(
         folder=out,
         settings=settings,
-        failures=failures,
+        failures=run.collector.failures,
         n_made=run.collector.n_made,
         n_reused=len(records) - run.collector.n_made,
-        metadata=metadata,
+        pairs=[record.pair_id for record in records],
         tables=tables,
     )
 
 
 class _ExperimentRun(Run):
-    """A run of the stage of an experiment, whose record has the metadata of each pair."""
+    """A run of the stage of an experiment, whose record has no results but failures."""
 
-    @property
-    def title(self) -> str:
-        """The experiment in messages."""
-        return f"{self.stages[0].name} {self.folder.folder}"
-
-    def write_results(self, scans: Mapping[str, Metadata]) -> None:
+    def write_results(self) -> None:
         """Write the record of an experiment that has ended."""
-        self._end_phase("total")
-        wall_s = sum(self._wall_s.values())
         failures = self.collector.failures
-        self._write_record(self._header(), scans=scans, failures=failures, wall_s=wall_s)
+        wall_s = self.wall_s["total"]
+        self._write_record(self._header(), failures=failures, wall_s=wall_s)
 
     def _write_record(self, record: RunHeader, **results: Any) -> None:
         """Write settings that a run can take, and the record."""
@@ -204,18 +190,14 @@ def _write_tables(
     scores: Scores,
 ) -> dict[str, pa.Table]:
     """Join the tables of all pairs, summarise them, and write both; returns them by name."""
+    key = key_of(library_versions(["fidpipe"]), sorted(record.key for record in records))
     tables = {}
     for name in stage.gives:
         parts = [folder.read_table(name, record.pair_id) for record in records]
-        tables[name] = pa.concat_tables([TABLES[name].schema.empty_table(), *parts])
+        tables[name] = write_table(folder, name, key, parts)
     frames = scores({name: table.to_pandas() for name, table in tables.items()})
     summary = f"{stage.name}_summary"
-    tables[summary] = TABLES[summary].from_rows(_means(frames))
-    key = key_of(sorted(record.key for record in records))
-    for name, table in tables.items():
-        file_name = f"{name}.parquet"
-        stored = folder.write_at(folder.folder / file_name, name, table, key)
-        folder.ledger.put_job(JobRecord(name, "", "", key, {file_name: stored}))
+    tables[summary] = write_table(folder, summary, key, TABLES[summary].from_rows(_means(frames)))
     return tables
 
 

@@ -13,10 +13,9 @@ import pandas as pd
 from ...schemas.metric_catalogue import METRIC, narrow_labels
 from ..report.figures.style import new_figure, shown_name
 from ..report.look import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
-from ..report.view import Note, Table, View, columns_of, count
+from ..report.view import Note, Table, View, count
 from .ablate import PARAMETERS, current, means_along
 from .experiment import ExperimentOutcome
-from .perturb import chosen_objects
 
 #: The scores of the paper's Table I.
 _TABLE_I_SCORES = ("match_rate", "centroid_distance_m_mean", "eigenspectrum_distance_mean")
@@ -44,43 +43,29 @@ def show_perturbations(outcome: ExperimentOutcome) -> View:
     means["level"] = list(zip(means["kind"], means["amount"], means["shift_m"], strict=True))
     whole = means[means["scope"] == "global"]
     single = means[means["scope"] == "object"].rename(columns={"object": "curve"})
-    scans = ", ".join(outcome.metadata)
+    scans = ", ".join(outcome.pairs)
     parts: list[Note | Table] = []
     if len(whole):
         headings = dict(zip(_TABLE_I_SCORES, narrow_labels(_TABLE_I_SCORES), strict=True))
         title = f"Whole scan, {scans}: mean ± std"
         parts.append(_table(title, whole, ("level", names), ("metric", headings)))
-    if len(single):
-        parts += _object_tables(outcome, single, names)
+    curves = single["curve"].unique()
+    for metric in ("r_lambda", "r_gap"):
+        of_metric = single[single["metric"] == metric]
+        if len(of_metric):
+            title = f"{metric} of single objects ({METRIC[metric].scale}): mean ± std"
+            columns = ("curve", dict(zip(curves, curves, strict=True)))
+            parts.append(_table(title, of_metric, ("level", names), columns))
     drawn = single.assign(axis=single["kind"].map(_AXES)).dropna(subset="axis")
     _draw(outcome, "perturb", f"{shown_name(scans)}, altered", drawn, ("r_lambda", "r_gap"))
     return [*parts, *_last_lines(outcome, "perturb")]
-
-
-def _object_tables(
-    outcome: ExperimentOutcome,
-    means: pd.DataFrame,
-    levels: Mapping[Any, str],
-) -> list[Table]:
-    """The chosen objects, and r_lambda and r_gap of each by level."""
-    chosen = chosen_objects(outcome)
-    columns = ("object", "scan", "id", "points", "range (m)")
-    fields = ("name", "pair_id", "community_id", "n_points", "range_m")
-    rows = columns_of(chosen, fields)
-    tables = [Table("The chosen objects", columns, rows, words=(0, 1))]
-    names = {values["name"]: values["name"] for values in chosen}
-    for metric in ("r_lambda", "r_gap"):
-        title = f"{metric} of single objects ({METRIC[metric].scale}): mean ± std"
-        of_metric = means[means["metric"] == metric]
-        tables.append(_table(title, of_metric, ("level", levels), ("curve", names)))
-    return tables
 
 
 def show_ablation(outcome: ExperimentOutcome) -> View:
     """A table for each parameter, of means with current values of the others; the figure is written."""
     parts: list[Note | Table] = []
     drawn = []
-    n_pairs = count(len(outcome.metadata), "pair")
+    n_pairs = count(len(outcome.pairs), "pair")
     headings = dict(zip(_ABLATED_SCORES, narrow_labels(_ABLATED_SCORES), strict=True))
     for name, value in current(outcome.settings)._asdict().items():
         means = means_along(outcome, name)
@@ -93,8 +78,6 @@ def show_ablation(outcome: ExperimentOutcome) -> View:
         renamed = means.rename(columns={name: "amount"})
         drawn.append(renamed.assign(axis=name, curve="mean over pairs", current=value))
     if parts:
-        text = "A small r_lambda can also result from a poor alignment (a large change)."
-        parts.append(Note(f"{text}\n"))
         title = f"{n_pairs}; dashed: current"
         _draw(outcome, "ablate", title, pd.concat(drawn), ("match_rate", "r_lambda_mean"))
     return [*parts, *_last_lines(outcome, "ablate")]
@@ -102,13 +85,10 @@ def show_ablation(outcome: ExperimentOutcome) -> View:
 
 def _last_lines(outcome: ExperimentOutcome, name: str) -> list[Note]:
     """Number of failures and scans, and the files of the folder."""
-    notes = []
-    if outcome.failures:
-        text = f"{len(outcome.failures)} failed, see the messages above and failures in run.json"
-        notes.append(Note(text, "red"))
     made = f"{count(outcome.n_made, 'scan')} evaluated, {outcome.n_reused} reused"
+    failed = f"{len(outcome.failures)} failed"
     files = f"{name}_summary.parquet (means), a table of all values, {name}.png"
-    return [*notes, Note(made), Note(f"results: {outcome.folder}/{files}")]
+    return [Note(f"{made}, {failed}"), Note(f"results: {outcome.folder}/{files}")]
 
 
 def _table(
@@ -143,7 +123,11 @@ def _spread(mean: float, std: float) -> str:
 
 
 def _draw(
-    outcome: ExperimentOutcome, name: str, title: str, means: pd.DataFrame, metrics: Sequence[str]
+    outcome: ExperimentOutcome,
+    name: str,
+    title: str,
+    means: pd.DataFrame,
+    metrics: Sequence[str],
 ) -> None:
     """Write `NAME.png` with a row of panels for each metric; nothing without means.
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import astuple, replace
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -62,14 +61,6 @@ CLASSES = ("vegetation", "car", "tree", "wall")
 #: An object of at most k + 1 points remains a complete graph under any alteration; a typical one has twice as many.
 LEAST_POINTS_OVER_K = 2
 PURE_SHARE = 0.75
-#: Columns of `perturb_global` from the summary of a comparison.
-_SUMMARY = (
-    "n_matched",
-    "n_identical",
-    "n_too_small",
-    "match_rate",
-    *(f"{metric}_mean" for metric in OBJECT_METRICS),
-)
 
 
 class PerturbRequest(BaseModel, frozen=True):
@@ -138,11 +129,6 @@ def perturb_source(
     )
 
 
-def chosen_objects(outcome: ExperimentOutcome) -> list[Row]:
-    """The altered objects of all scans, see `choose_objects`."""
-    return [*chain.from_iterable(scan["chosen"] for scan in outcome.metadata.values())]
-
-
 def make_perturbations(inputs: Inputs) -> JobResult:
     """All perturbations of the real scan of a pair and of its chosen objects, with all repeats."""
     settings = settings_of(inputs.settings)
@@ -153,23 +139,19 @@ def make_perturbations(inputs: Inputs) -> JobResult:
     global_rows = []
     for level, trial in _trials(request, inputs.pair_id, "all", request.global_repeats):
         global_rows.append(trial | _altered_scan(tables, points, level, trial["seed"], settings))
-    objects = choose_objects(objects_in(tables), inputs.pair_id, settings.graph.k)
     object_rows = []
     baseline_rows = []
-    for chosen in objects:
-        number = chosen["community_id"]
+    for number, name in choose_objects(objects_in(tables), settings.graph.k).items():
         before = graph_of(points[labels == number], settings.graph)
         for level, trial in _trials(request, inputs.pair_id, number, request.repeats):
-            names = trial | {"community_id": number, "object": chosen["name"]}
+            names = trial | {"community_id": number, "object": name}
             scores, baselines = _altered_object(before, level, trial["seed"], settings)
             object_rows.append(names | scores)
             baseline_rows += [names | baseline for baseline in baselines]
-    results = {
-        "perturb_global": inputs.rows("perturb_global", global_rows),
-        "perturb_objects": inputs.rows("perturb_objects", object_rows),
-        "perturb_baselines": inputs.rows("perturb_baselines", baseline_rows),
-    }
-    return JobResult(results, {"chosen": objects})
+    results = inputs.rows("perturb_global", global_rows)
+    results |= inputs.rows("perturb_objects", object_rows)
+    results |= inputs.rows("perturb_baselines", baseline_rows)
+    return JobResult(results)
 
 
 STAGE = experiment_stage(
@@ -201,7 +183,11 @@ def _trials(
 
 
 def _altered_scan(
-    tables: PairTables, points: FloatArray, level: Perturbation, seed: int, settings: Settings
+    tables: PairTables,
+    points: FloatArray,
+    level: Perturbation,
+    seed: int,
+    settings: Settings,
 ) -> Row:
     """Scores of the scan with all object points altered, everything from the graph on recomputed."""
     altered = perturb(points, level, np.random.default_rng(seed))
@@ -219,13 +205,14 @@ def _altered_scan(
         used = settings.model_copy(update={"communities": communities})
     both = tables | {("ground", "sim"): ground_table(altered)}  # the real side is unaltered
     summary = score_pair(used, both)
-    row |= {name: summary[name] for name in _SUMMARY}
-    row["n_communities_altered"] = summary["n_communities_sim"]
-    return row
+    return row | summary | {"n_communities_altered": summary["n_communities_sim"]}
 
 
 def _altered_object(
-    before: Subgraph, level: Perturbation, seed: int, settings: Settings
+    before: Subgraph,
+    level: Perturbation,
+    seed: int,
+    settings: Settings,
 ) -> tuple[Row, list[Row]]:
     """Scores of one object with altered points, and a row for each baseline metric.
 
@@ -273,18 +260,11 @@ def parse_levels(words: Sequence[str]) -> tuple[Perturbation, ...]:
                 f"--sweep {word!r}: expected one of {', '.join(KINDS)}; got {kind!r}",
             )
         for text in (amounts if equals else AMOUNTS[kind]).split(","):
-            levels[_level(word, kind, text)] = None
+            shift, _, amount = text.rpartition(":") if kind == "rigid" else ("", "", text)
+            option = f"--sweep {word!r}: {kind}"
+            shift_m = FLAWS["offset"].parse(shift or "0", option)
+            levels[Perturbation(kind, KINDS[kind].parse(amount, option), shift_m)] = None
     return tuple(levels)
-
-
-def _level(word: str, kind: str, text: str) -> Perturbation:
-    """The level of an amount; that of `rigid` is an angle, or metres:degrees."""
-    shift, amount = "", text
-    if kind == "rigid":
-        shift, _, amount = text.rpartition(":")
-    option = f"--sweep {word!r}: {kind}"
-    shift_m = FLAWS["offset"].parse(shift or "0", option)
-    return Perturbation(kind, KINDS[kind].parse(amount, option), shift_m)
 
 
 def _scores(tables: Mapping[str, pd.DataFrame]) -> list[pd.DataFrame]:
@@ -301,12 +281,11 @@ def _scores(tables: Mapping[str, pd.DataFrame]) -> list[pd.DataFrame]:
     ]
 
 
-def choose_objects(objects: pd.DataFrame, pair_id: str, k: int) -> list[Row]:
-    """The typical object of each class of the paper; without any of these one object per shape.
+def choose_objects(objects: pd.DataFrame, k: int) -> dict[int, str]:
+    """Id and class of the typical object of each class of the paper; without any of these one object per shape.
 
     Shapes are linear, planar and scattered; no object is chosen twice, so that one without a further
-    object is left out. A row has the object's name (class or shape), scan and id, n_points and
-    range_m.
+    object is left out.
 
     Parameters
     ----------
@@ -319,15 +298,11 @@ def choose_objects(objects: pd.DataFrame, pair_id: str, k: int) -> list[Row]:
         of_class = objects[objects["label"] == name]
         if len(of_class):
             chosen[_typical_of_class(of_class, least)] = name
-    chosen = chosen or _typical_of_shapes(objects, least)
-    table = objects.loc[[*chosen], ["n_points", "range_m"]]
-    table = table.assign(pair_id=pair_id, community_id=[*chosen], name=[*chosen.values()])
-    rows: Any = table.to_dict("records")
-    return list(rows)
+    return chosen or _typical_of_shapes(objects, least)
 
 
 def objects_in(tables: PairTables) -> pd.DataFrame:
-    """The objects of the real side of a pair by id: n_points, range_m, label, `SHAPES`, and `label_share`.
+    """The objects of the real side of a pair by id: n_points, label, `SHAPES`, and `label_share`.
 
     `label_share` is the share of the points of an object that have its label.
 
@@ -367,18 +342,14 @@ def _typical_of_shapes(objects: pd.DataFrame, least: int) -> dict[int, str]:
     """
     large = objects[objects["n_points"] >= least]
     free = objects if large.empty else large
-    shapes = large[[*SHAPES]].to_numpy().argmax(axis=1)
-    chosen: dict[str, int] = {}
-    for i, name in enumerate(SHAPES.values()):
-        typical = large[shapes == i]
-        if len(typical):
-            chosen[name] = _median_sized(typical)
-    for feature, name in SHAPES.items():
+    of_shapes = large.groupby(large[[*SHAPES]].idxmax(axis=1))
+    chosen: dict[Any, int] = {name: _median_sized(typical) for name, typical in of_shapes}
+    for feature in SHAPES:
         others = free[feature].drop([*chosen.values()])
-        if name not in chosen and len(others):
+        if feature not in chosen and len(others):
             largest: Any = others.idxmax()
-            chosen[name] = int(largest)
-    return {chosen[name]: name for name in SHAPES.values() if name in chosen}
+            chosen[feature] = int(largest)
+    return {chosen[feature]: SHAPES[feature] for feature in SHAPES if feature in chosen}
 
 
 def _median_sized(objects: pd.DataFrame) -> int:

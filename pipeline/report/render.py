@@ -60,7 +60,7 @@ class _AnswerLines:
         self._sections = answers.sections
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        for heading, items in self._sections:
+        for heading, items in self._sections.items():
             title = Text(heading.ljust(_INDENT), "bold" if heading[0].isupper() else "")
             for item in items:
                 lines = _item_lines(item, max(options.max_width, _NARROWEST) - _INDENT)

@@ -1,6 +1,6 @@
 """A finished run as a report reads it: its pairs and objects, and the points of one pair.
 
-Everything is checked before anything is drawn. Recomputed is the piece that holds each point.
+Recomputed is the piece that holds each point.
 """
 
 from __future__ import annotations
@@ -13,8 +13,7 @@ import numpy as np
 import pandas as pd
 
 from ...schemas.columns import SIDES
-from ...schemas.errors import RunError
-from ...schemas.metric_catalogue import METRIC, QUADRANT_SCORES
+from ...schemas.metric_catalogue import QUADRANT_SCORES
 from ...schemas.settings import PieceSettings
 from ...stages.arrays import BoolArray, FloatArray
 from ...stages.pieces import CutScan, label_pieces
@@ -62,9 +61,8 @@ class RunResults:
 def read_results(folder: Path) -> RunResults:
     """The tables of a run that has ended, checked against its index.
 
-    Pairs are ordered by the mean of their ranks in match rate, CDC and r_lambda, matched objects by
-    the mean of their ranks in CDC and r_lambda (those without r_lambda last): an order to look at,
-    not a score.
+    Pairs are ordered by match rate, as `show --all` has them, matched objects by the mean of their
+    ranks in CDC and r_lambda: an order to look at, not a score.
 
     Raises
     ------
@@ -72,18 +70,9 @@ def read_results(folder: Path) -> RunResults:
         The folder is not a run, the run has not ended, a table is damaged, or no pair is scored.
     """
     run = FinishedRun(folder)
-    scored = run.pairs.query("status == 'scored'")
-    if scored.empty:
-        raise RunError(
-            f"run {folder}: none of its {len(run.rows)} pairs is scored, so there is nothing to "
-            "report"
-        )
-    means = [METRIC[score].mean_column for score in QUADRANT_SCORES]
-    pairs = _worst_first(scored, ("match_rate", *means))
-    names = pairs.pair_id.tolist()
-    for name in names:
-        run.check_tables(name)
-    objects = run.objects_of(names)
+    scored = run.pairs[run.pairs.pair_id.isin(run.select())]
+    pairs = scored.sort_values("match_rate", kind="stable", ignore_index=True)
+    objects = run.objects_of(pairs.pair_id.tolist())
     is_labelled = bool(objects["label"].notna().any())
     objects["group"] = objects["label"].fillna(NO_LABEL) if is_labelled else objects["shape"]
     return RunResults(run, pairs, _both_sides(objects), "class" if is_labelled else "shape")
@@ -104,18 +93,17 @@ def _both_sides(objects: pd.DataFrame) -> pd.DataFrame:
     objects["quadrant"] = objects["quadrant"].where(is_matched)
     objects["status"] = objects["status"].where(is_matched, objects["fate"])
     objects["name"] = objects["side"] + " " + objects["community_id"].astype(str)
-    matched = _worst_first(objects[is_matched & (objects["side"] == "real")], QUADRANT_SCORES)
+    matched = _worst_first(objects[is_matched & (objects["side"] == "real")])
     unmatched = objects[~is_matched & (objects["fate"] != "remnant")]
     unmatched = unmatched.sort_values(["n_points", "pair_id"], ascending=[False, True])
     return pd.concat([matched, unmatched], ignore_index=True)
 
 
-def _worst_first(rows: pd.DataFrame, by: tuple[str, ...]) -> pd.DataFrame:
-    """Rows by the mean of their ranks, worst first; a null in any of the columns goes last."""
-    ranks = [rows[column].rank(ascending=column == "match_rate", pct=True) for column in by]
-    ranked = rows.assign(_order=sum(ranks))
-    ordered = ranked.sort_values(["_order", "pair_id"], na_position="last", kind="stable")
-    return ordered.drop(columns="_order").reset_index(drop=True)
+def _worst_first(objects: pd.DataFrame) -> pd.DataFrame:
+    """Matched objects by the mean of their ranks in CDC and r_lambda, worst first; without r_lambda last."""
+    ranks = objects[[*QUADRANT_SCORES]].rank(ascending=False, pct=True).sum(axis=1, skipna=False)
+    ranked = objects.assign(_order=ranks).sort_values(["_order", "pair_id"], kind="stable")
+    return ranked.drop(columns="_order")
 
 
 @lru_cache(maxsize=8)  # the worst places of a pair and its view read the same points

@@ -63,9 +63,9 @@ Item = tuple[str, str, str]
 
 @dataclass(frozen=True)
 class Answers:
-    """Headings with their answers."""
+    """Answers by their heading; those without answers are not shown."""
 
-    sections: Sequence[tuple[str, Sequence[Item]]]
+    sections: Mapping[str, Sequence[Item]]
 
 
 def items_of(*texts: str) -> list[Item]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...schemas.cause_catalogue import CAUSES, FLAT, LOSSES, PARAMETERS, UNEVEN, CauseModel
+from ...schemas.columns import Row
 from ...schemas.results import Cause, Unknown
 from ...stages.arrays import FloatArray, IntArray
 from ...stages.statistics.comparison import LEAST_FOR_INTERVAL, block_means, mean_interval
@@ -20,8 +21,6 @@ from ..storage.folder import RunFolder
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from ...stages.causes.estimates import Amount
 
 #: Most causes that are shown at first.
 MOST_SHOWN = 7
@@ -80,15 +79,20 @@ def read_causes(store: RunFolder, pair_ids: Sequence[str]) -> dict[str, pd.DataF
     return _by_cause(frame, sorted(CAUSES), len(pair_ids))
 
 
-def cause_values(amounts: Sequence[Mapping[str, Amount]]) -> dict[str, pd.DataFrame]:
-    """Estimates of some pairs, by name of the cause; those that no pair has are left out."""
+def cause_values(pairs: Sequence[Sequence[Row]]) -> dict[str, pd.DataFrame]:
+    """Estimates of some pairs, by name of the cause; those that no pair has are left out.
+
+    Parameters
+    ----------
+    pairs : rows of the table `causes` of each pair
+    """
     import pandas as pd
 
     rows = []
-    for pair, of_pair in enumerate(amounts):
-        rows += [{"pair": pair, "cause": name} | vars(amount) for name, amount in of_pair.items()]
+    for pair, of_pair in enumerate(pairs):
+        rows += [{"pair": pair} | row for row in of_pair]
     frame = pd.DataFrame(rows, columns=["pair", *_COLUMNS])
-    return _by_cause(frame, frame["cause"].unique(), len(amounts))
+    return _by_cause(frame, frame["cause"].unique(), len(pairs))
 
 
 def _by_cause(frame: pd.DataFrame, names: Iterable[str], n_pairs: int) -> dict[str, pd.DataFrame]:

@@ -90,7 +90,6 @@ def find_changes(
     other: FinishedRun,
     names: Sequence[str],
     blocks: IntArray,
-    reporter: Reporter | None = None,
 ) -> Changes:
     """The causes that changed by more than the resolution of their estimates.
 
@@ -98,7 +97,6 @@ def find_changes(
     ----------
     names : pairs that both runs have scored
     blocks : (n,) independent place of each pair
-    reporter : shows the progress over many pairs
 
     Raises
     ------
@@ -106,11 +104,11 @@ def find_changes(
         A table is damaged or gone.
     """
     before, after = read_causes(base.store, names), read_causes(other.store, names)
-    between = _measure_between(base, other, names, reporter)
+    between = _measure_between(base, other, names)
     confirmed = changed_causes(before, after, between, blocks)
     excess = {cause.name: cause.estimate for cause in confirmed}
     corrected = [names[i] for i in evenly(len(names), MOST_CORRECTED)]
-    undone = _map_pairs(undo_changes, base, other, corrected, excess, reporter).values()
+    undone = _map_pairs(undo_changes, base, other, corrected, excess).values()
     doubtful: list[Cause] = []
     elsewhere = None
     if undone:
@@ -130,7 +128,6 @@ def _map_pairs(
     other: FinishedRun,
     names: Sequence[str],
     excess: dict[str, float],
-    reporter: Reporter | None,
 ) -> dict[str, Result]:
     """Results by pair, without those that are empty and those of one simulated scan in both runs."""
     tasks = {}
@@ -138,17 +135,17 @@ def _map_pairs(
         if not _is_same_scan(base, other, name):
             tasks[name] = (base.folder, other.folder, name, excess)
     n_workers = None if len(tasks) > _FEW else 1
-    results, _ = map_tasks(function, tasks, reporter or Reporter(), n_workers=n_workers)
+    results, _ = map_tasks(function, tasks, Reporter(), n_workers=n_workers)
     return {name: result for name in tasks if (result := results.get(name))}
 
 
 def _measure_between(
-    base: FinishedRun, other: FinishedRun, names: Sequence[str], reporter: Reporter | None
+    base: FinishedRun, other: FinishedRun, names: Sequence[str]
 ) -> dict[str, FloatArray]:
     """By cause, the amounts between the two simulated scans, (n,), NaN for pairs that were not measured."""
     chosen = [names[i] for i in evenly(len(names), MOST_BETWEEN)]
     same = [name for name in chosen if _is_same_scan(base, other, name)]
-    measured = _map_pairs(measure_between, base, other, chosen, {}, reporter)
+    measured = _map_pairs(measure_between, base, other, chosen, {})
     if 2 * (len(same) + len(measured)) <= len(chosen):
         return {}
     amounts = pd.DataFrame.from_dict(measured, orient="index", dtype=np.float64)

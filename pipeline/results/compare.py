@@ -7,7 +7,6 @@ objects are followed from run to run (`followed`) as a description.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -16,13 +15,11 @@ import numpy as np
 import pandas as pd
 
 from ...schemas.errors import RunError
-from ...schemas.metric_catalogue import SEEDED_SCORES, scores_of
 from ...schemas.results import JsonObject
 from ...stages.arrays import IntArray
 from ...stages.statistics.comparison import LEAST_FLIPPED, LEAST_PAIRS
-from ..engine.progress import Reporter
 from .changes import Changes, find_changes
-from .families import FamilyChange, ScoreChange, ScoredPairs, judge_families, overall
+from .families import FamilyChange, ScoredPairs, judge_families, overall
 from .finished import (
     FinishedRun,
     pairs_left_out,
@@ -34,10 +31,6 @@ from .followed import CHANGE_COLUMNS, FOLLOWED_COLUMNS, KINDS, follow
 from .independence import pairs_and_places
 from .object_frame import plain_rows
 from .sectors import N_SECTORS, sector_frame
-
-#: Largest number of runs in one command.
-MOST_RUNS = 8
-_TASKS = [*scores_of("task")]
 
 
 @dataclass
@@ -116,11 +109,6 @@ class Comparison:
         return pd.DataFrame(rows)
 
     @property
-    def scores(self) -> list[ScoreChange]:
-        """Those of all families."""
-        return [score for family in self.families for score in family.scores]
-
-    @property
     def kinds(self) -> dict[str, int]:
         """Number of real objects by fate."""
         count = self.objects["kind"].value_counts()
@@ -147,14 +135,12 @@ def compare_runs(
     *,
     allow_different_settings: bool = False,
     independent: bool = False,
-    reporter: Reporter | None = None,
 ) -> list[Comparison]:
     """Each run but the first against the first.
 
     Parameters
     ----------
     independent : treat each pair as independent, also neighbouring frames
-    reporter : shows the progress over many pairs
 
     Raises
     ------
@@ -172,7 +158,7 @@ def compare_runs(
                 "so that a difference need not be the simulator's; run both with the same "
                 "settings, or give --allow-different-settings"
             )
-        comparisons.append(_comparison(base, other, settings, reporter, independent=independent))
+        comparisons.append(_comparison(base, other, settings, independent=independent))
     return comparisons
 
 
@@ -180,7 +166,6 @@ def _comparison(
     base: FinishedRun,
     other: FinishedRun,
     settings: Sequence[str],
-    reporter: Reporter | None,
     *,
     independent: bool,
 ) -> Comparison:
@@ -206,7 +191,7 @@ def _comparison(
         on_partition=partition_note((base, other)),
     )
     if names:
-        _compare(comparison, base, other, blocks, reporter)
+        _compare(comparison, base, other, blocks)
     elif not comparison.failed:
         reasons = [f"{name!r}: {reason}" for name, reason in left_out.items()]
         why = "; ".join(reasons[:3]) or "no pair is scored"
@@ -215,46 +200,27 @@ def _comparison(
 
 
 def _compare(
-    comparison: Comparison,
-    base: FinishedRun,
-    other: FinishedRun,
-    blocks: IntArray,
-    reporter: Reporter | None,
+    comparison: Comparison, base: FinishedRun, other: FinishedRun, blocks: IntArray
 ) -> None:
     """Add the causes, families and objects to a comparison."""
     runs = (base, other)
     names = comparison.pairs
-    changes = comparison.changes = find_changes(base, other, names, blocks, reporter)
+    changes = comparison.changes = find_changes(base, other, names, blocks)
     sectors = None
     if comparison.by_direction:
         directions = (N_SECTORS * blocks[:, None] + np.arange(N_SECTORS)).ravel().astype(np.int32)
         sectors = ScoredPairs([sector_frame(run, names) for run in runs], directions)
         blocks = np.arange(len(names), dtype=np.int32)
     scores = [run.scores.loc[[*names]] for run in runs]
-    if not _have_same_tasks(base, other):
-        scores = [frame.drop(columns=_TASKS, errors="ignore") for frame in scores]
     comparison.families = judge_families(
         base.preset if base.preset == other.preset else "paper",
         ScoredPairs(scores, blocks),
         sectors=sectors,
-        seed_noise=_noise_of_seeds(runs, len(names)),
         worse_causes=[cause.name for cause in changes.causes if cause.verdict == "worse"],
     )
     real_objects = [run.objects_of(names, FOLLOWED_COLUMNS, ("real",)) for run in runs]
     comparison.objects, unfollowed = follow(*real_objects)
     comparison.unfollowed = tuple(unfollowed)
-
-
-def _noise_of_seeds(runs: Sequence[FinishedRun], n_pairs: int) -> dict[str, float]:
-    """Difference of two means over pairs that Louvain seeds alone make, by column, if both runs were repeated."""
-    spreads = [run.record.seeds.dataset for run in runs if run.record.seeds is not None]
-    noise = {}
-    for column in SEEDED_SCORES:
-        least = [spread[column].least_pair for spread in spreads]
-        known = [value for value in least if value is not None]
-        if len(known) == len(runs):
-            noise[column] = math.hypot(*known) / math.sqrt(2 * n_pairs)
-    return noise
 
 
 def _counted(base: FinishedRun, names: Sequence[str], n_places: int, *, independent: bool) -> str:
@@ -279,11 +245,4 @@ def _notes(base: FinishedRun, other: FinishedRun) -> list[str]:
                 f"{run.folder}: {n_unfit} of {len(run.scored)} pairs are not in one frame or show "
                 f"two places, but count; see fidpipe show {run.folder}"
             )
-    if base.record.tasks and other.record.tasks and not _have_same_tasks(base, other):
-        notes.append("the runs have other settings of tasks: these are not compared")
     return notes + version_changes(base, other)
-
-
-def _have_same_tasks(base: FinishedRun, other: FinishedRun) -> bool:
-    """True if the tasks of both runs have the same settings."""
-    return bool(base.record.settings.get("tasks") == other.record.settings.get("tasks"))

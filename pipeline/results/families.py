@@ -9,7 +9,7 @@ an improvement that lost or invented surface, or a worse sensor, explains is sho
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,7 +66,6 @@ class ScoreChange:
     p : adjusted for the scores of its family (maxT), not for the other families; None if it cannot be tested
     towards : direction in which it moved, better or worse, decided or not; "" if it did not move
     why : reason for which its verdict does not count; "" if it counts
-    seed_noise : largest difference of the two means that Louvain seeds alone make in 95 % of the cases; None if unknown
     """
 
     name: str
@@ -75,19 +74,7 @@ class ScoreChange:
     verdict: str
     p: float | None
     towards: str
-    seed_noise: float | None = None
     why: str = ""
-
-    @property
-    def is_clear(self) -> bool:
-        """True if it moved, and its interval, if there is one, does not hold 0."""
-        low, high = self.difference.low, self.difference.high
-        return bool(self.towards) and (low is None or high is None or low > 0 or high < 0)
-
-    @property
-    def is_by_seeds(self) -> bool:
-        """True if Louvain seeds alone can make the change."""
-        return self.seed_noise is not None and self.difference.size <= self.seed_noise
 
 
 @dataclass
@@ -119,7 +106,6 @@ def judge_families(
     pairs: ScoredPairs,
     *,
     sectors: ScoredPairs | None = None,
-    seed_noise: Mapping[str, float] | None = None,
     worse_causes: Sequence[str] = (),
 ) -> tuple[FamilyChange, ...]:
     """The families with their verdicts; of equal simulators any is better or worse in under 5 % of the comparisons.
@@ -132,7 +118,6 @@ def judge_families(
     preset : of both runs; "paper" compares the match rate in place of the share of real objects that are found
     sectors : the sectors of all pairs, where neighbouring frames leave few blocks. A change must then be consistent
         over the sectors of the places, and over the frames, too
-    seed_noise : by column of `pairs`, see `ScoreChange`
     worse_causes : causes of the sensor that became worse, from which improvements of a family may follow
     """
     by_family: dict[str, list[Metric]] = {}
@@ -141,7 +126,7 @@ def judge_families(
             by_family.setdefault(metric.family, []).append(metric)
     families = []
     for name, metrics in by_family.items():
-        if scores := _changes(metrics, pairs, sectors, seed_noise or {}):
+        if scores := _changes(metrics, pairs, sectors):
             families.append(FamilyChange(name, scores))
     smallest = []
     for family in families:
@@ -163,10 +148,7 @@ def judge_families(
 
 
 def _changes(
-    metrics: Sequence[Metric],
-    pairs: ScoredPairs,
-    sectors: ScoredPairs | None,
-    seed_noise: Mapping[str, float],
+    metrics: Sequence[Metric], pairs: ScoredPairs, sectors: ScoredPairs | None
 ) -> tuple[ScoreChange, ...]:
     """The scores of a family that have values, without verdicts, the most clearly changed first."""
     before, after = pairs.values([metric.pair_column for metric in metrics])
@@ -189,7 +171,6 @@ def _changes(
             verdict="same" if is_same else "undecided",
             p=None if is_same or math.isnan(p) else p,
             towards=towards,
-            seed_noise=seed_noise.get(metric.pair_column),
         )
         changes.append(change)
     return tuple(sorted(changes, key=_clearest_first))
@@ -212,11 +193,8 @@ def _p_values(
     if sectors is None:
         return p_values
     change = sectors.changes(columns)
-    is_known = ~np.isnan(change).all(axis=1)
-    by_sector = np.ones(len(metrics))
-    by_sector[is_known] = adjusted_p_values(
-        change[is_known], least[is_known], np.zeros(is_known.sum())
-    )
+    by_sector = adjusted_p_values(change, least, np.zeros(len(metrics)))
+    by_sector[np.isnan(change).all(axis=1)] = 1.0
     larger: FloatArray = np.maximum(p_values, by_sector)
     return larger
 
@@ -232,7 +210,7 @@ def _decide_scores(family: FamilyChange, p: float | None, *, are_few: bool) -> N
     is_decided = p is not None and p < ERROR_RATE
     for change in family.scores:
         is_clear = change.p is not None and change.p < ERROR_RATE
-        if is_decided and is_clear and not change.is_by_seeds:
+        if is_decided and is_clear:
             change.verdict = change.towards
         if are_few and change.p == 1.0:
             change.p = None

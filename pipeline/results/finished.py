@@ -21,7 +21,7 @@ import pyarrow as pa
 from ...schemas.cause_catalogue import UNEVEN
 from ...schemas.columns import SIDES, Row
 from ...schemas.errors import RunError
-from ...schemas.record import RunRecord, TaskSummary
+from ...schemas.record import RunRecord
 from ...schemas.results import Cause, Diagnosis, Overview, Unknown
 from ...schemas.tables import PAIR_TABLES, TABLES
 from ...stages.arrays import IntArray
@@ -31,7 +31,7 @@ from ..storage.run_record import RUN_JSON, command_again, read_run
 from ..storage.urls import url_or_path
 from .causes import mean_amount, read_causes
 from .diagnosis import diagnosis_of
-from .object_frame import ALL_COLUMNS, WITH_UNITS, object_frame, plain_rows
+from .object_frame import WITH_UNITS, object_frame, plain_rows
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -47,14 +47,12 @@ def record_of_run(folder: Path) -> dict[str, Any]:
     if not path_exists(folder / RUN_JSON):
         problem = "no such folder"
         hint = f"make a run: fidpipe run DATASET --out {quoted}"
-        if folder.is_file():
-            problem = "it is a file"
-        elif folder.is_dir():
+        if folder.exists():
             problem = f"no {RUN_JSON} found"
             hint = (
                 "if it holds a dataset, evaluate it: "
-                f"fidpipe run {quoted} --out runs/{folder.resolve().name}; if it holds scans, "
-                f"evaluate them: fidpipe run {quoted} SIM"
+                f"fidpipe run {quoted} --out runs/{folder.resolve().name}; "
+                f"if it holds scans, evaluate them: fidpipe run {quoted} SIM"
             )
         raise RunError(f"run {shown}: {problem}, expected a folder written by fidpipe run; {hint}")
     record = read_run(folder)
@@ -88,7 +86,7 @@ class FinishedRun:
         record = record_of_run(folder)
         self.store = RunFolder(folder)
         try:
-            self.record = RunRecord.from_dict(record)
+            self.record = RunRecord.model_validate(record)
         except ValueError as error:
             if self.store.is_locked:
                 raise RunError(
@@ -116,7 +114,11 @@ class FinishedRun:
         """(scored pairs, scores) the numbers of `pairs`, and the gaps of tasks by names such as `objects.lost`."""
         scores = self.pairs.set_index("pair_id").loc[self.names]
         scores = scores.select_dtypes("number").astype(np.float64)
-        return scores.join(self.task_gaps) if self.record.tasks else scores
+        if not self.record.tasks:
+            return scores
+        rows = self.tasks.query("group == 'all'")
+        rows = rows.assign(name=rows["task"] + "." + rows["measure"])
+        return scores.join(rows.pivot(index="pair_id", columns="name", values="gap"))
 
     @property
     def objects(self) -> pd.DataFrame:
@@ -132,8 +134,7 @@ class FinishedRun:
         RunError
             No pair is scored, or a table is damaged.
         """
-        objects = self.objects_of(self.select()).rename(columns=WITH_UNITS)
-        return objects.drop(columns=["pair", "band"])
+        return self.objects_of(self.select()).rename(columns=WITH_UNITS).drop(columns="pair")
 
     @property
     def metrics(self) -> pd.DataFrame:
@@ -143,23 +144,11 @@ class FinishedRun:
     @property
     def tasks(self) -> pd.DataFrame:
         """One row per pair, task, measure and group of obstacles; raises `RunError` without tasks."""
-        self._refuse_without_tasks()
+        self.refuse_without_tasks()
         return _frame(self.table("tasks"))
 
-    @property
-    def task_gaps(self) -> pd.DataFrame:
-        """(pairs, measures) the gap over everything, by names such as `objects.lost`; `RunError` without tasks."""
-        rows = self.tasks.query("group == 'all'")
-        rows = rows.assign(name=rows["task"] + "." + rows["measure"])
-        return rows.pivot(index="pair_id", columns="name", values="gap")
-
-    @property
-    def task_summaries(self) -> tuple[TaskSummary, ...]:
-        """Means over pairs of the measures of the tasks; raises `RunError` without tasks."""
-        self._refuse_without_tasks()
-        return self.record.tasks
-
-    def _refuse_without_tasks(self) -> None:
+    def refuse_without_tasks(self) -> None:
+        """Raises `RunError` without tasks."""
         if not self.record.tasks:
             raise RunError(f"run {self.folder}: it has no tasks; add them with fidpipe run --tasks")
 
@@ -290,7 +279,7 @@ class FinishedRun:
     def objects_of(
         self,
         pairs: Sequence[str],
-        columns: Collection[str] = ALL_COLUMNS,
+        columns: Collection[str] | None = None,
         sides: Sequence[str] = SIDES,
     ) -> pd.DataFrame:
         """The objects of scored pairs with coverage, fate and scores; see `object_frame.object_frame`.
@@ -301,13 +290,62 @@ class FinishedRun:
             A pair failed, or a table is damaged or gone.
         """
         names = [self._scored(name) for name in pairs]
-        by_reference = self.is_by_reference
+        by_reference = self.preset == "reference"  # the real side fixes the objects
         return object_frame(self.store, names, columns, by_reference=by_reference, sides=sides)
 
-    @property
-    def is_by_reference(self) -> bool:
-        """True if the real side fixes the objects."""
-        return self.preset == "reference"
+    def pair(self, pair_id: str) -> Row:
+        """A pair as `fidpipe show RUN PAIR --json` prints it: its row of `pairs`, its objects (worst first) and rays.
+
+        `rays` are its rows of `ray_scores`. A failed pair has no objects and rays.
+
+        Raises
+        ------
+        RunError
+            The run has no such pair, or a table is damaged.
+        """
+        row = self.row(pair_id)
+        if row["status"] != "scored":
+            return {"pair": row, "objects": [], "rays": []}
+        rays = self.store.read_table("ray_scores", pair_id).drop_columns(["pair_id"])
+        return {"pair": row, "objects": self._pair_objects(pair_id), "rays": rays.to_pylist()}
+
+    def object(self, pair_id: str, name: str | int) -> Row:
+        """The rows of an object on both sides, `real` and `sim`: 7 or "real:7" is the real object 7, or "sim:7".
+
+        Raises
+        ------
+        RunError
+            The pair failed, or it has no such object.
+        """
+        side, _, number = str(name).rpartition(":")
+        for rows in self._pair_objects(pair_id):
+            row = rows.get(side or "real")
+            if row and str(row["community_id"]) == number:
+                return rows
+        raise RunError(
+            f"run {self.folder}, pair {pair_id}: no object {name!r}; objects are numbered from 0: "
+            "7 is a real object, sim:7 a simulated one"
+        )
+
+    def _pair_objects(self, pair_id: str) -> list[Row]:
+        """The objects of a pair, each as its rows of `object_frame` on both sides: `real` and `sim`, None if absent.
+
+        Matched objects come first, those with the largest r_lambda before the others. Of an object that is not found
+        but has a number fixed by the real side, `sim` is its few simulated points.
+        """
+        frame = self.objects_of([pair_id]).sort_values("r_lambda", ascending=False, kind="stable")
+        rows = {(row["side"], row["community_id"]): row for row in plain_rows(frame)}
+        matched = []
+        alone = []
+        for (side, number), row in rows.items():
+            if row["fate"] == "extra":
+                alone.append({"real": None, "sim": row})
+            elif row["fate"] == "not_found":
+                few = rows.get(("sim", number), {"fate": None})
+                alone.append({"real": row, "sim": few if few["fate"] == "remnant" else None})
+            elif side == "real":
+                matched.append({"real": row, "sim": rows["sim", row["partner"]]})
+        return matched + alone
 
     def _of_side(self, table: str, pair_id: str, side: str) -> pa.Table:
         if side not in SIDES:
@@ -323,12 +361,6 @@ class FinishedRun:
             )
         return pair_id
 
-    def check_tables(self, pair_id: str) -> None:
-        """Raises `RunError` if any table of a scored pair is damaged or gone."""
-        for record in self.store.finished_jobs(pair_id).values():
-            for name, stored in record.files.items():
-                self.store.content(stored, name)
-
 
 def _frame(table: pa.Table) -> pd.DataFrame:
     frame: pd.DataFrame = table.to_pandas(ignore_metadata=True)
@@ -342,11 +374,14 @@ _OF_SIM_FILES = ("sim_columns", "sim_frame")
 
 
 def settings_changes(base: FinishedRun, other: FinishedRun) -> list[str]:
-    """Settings of the stages that every run has and that differ, as text; not how simulated files are read."""
+    """Settings that differ of all stages, and of tasks that both runs have; not how simulated files are read."""
     from ..jobs import STAGES  # with all libraries of the stages
 
+    groups = list(chain.from_iterable(stage.settings for stage in STAGES))
+    if base.record.tasks and other.record.tasks:
+        groups.append("tasks")
     changes = []
-    for group in dict.fromkeys(chain.from_iterable(stage.settings for stage in STAGES)):
+    for group in dict.fromkeys(groups):
         settings = [run.record.settings.get(group, {}) for run in (base, other)]
         for name, before, after in differences(*settings):
             if name not in _OF_SIM_FILES:
@@ -391,7 +426,7 @@ def _unscored(run: FinishedRun, name: str) -> str:
 
 def partition_note(runs: Sequence[FinishedRun]) -> str:
     """That scores vary with the partition, in one line; "" if the real side fixes the objects."""
-    if all(run.is_by_reference for run in runs):
+    if all(run.preset == "reference" for run in runs):
         return ""
     return (
         "objects are those of the paper, each side partitioned independently, so that scores vary "
@@ -403,58 +438,3 @@ def partition_note(runs: Sequence[FinishedRun]) -> str:
 def run_values(run: FinishedRun) -> dict[str, Any]:
     """A run as plain values: its record, and the rows of `pairs`."""
     return {"folder": str(run.folder), "record": run.record.as_dict(), "pairs": run.rows}
-
-
-def pair_values(run: FinishedRun, pair_id: str) -> Row:
-    """A pair: its row of `pairs`, its objects (`pair_objects`) and its rows of `ray_scores`; none of both if it failed.
-
-    Raises
-    ------
-    RunError
-        The run has no such pair, or a table is damaged.
-    """
-    row = run.row(pair_id)
-    if row["status"] != "scored":
-        return {"pair": row, "objects": [], "rays": []}
-    rays = run.store.read_table("ray_scores", pair_id).drop_columns(["pair_id"])
-    return {"pair": row, "objects": pair_objects(run, pair_id), "rays": rays.to_pylist()}
-
-
-def pair_objects(run: FinishedRun, pair_id: str) -> list[Row]:
-    """The objects of a pair, each as its rows of `object_frame` on both sides: `real` and `sim`, None if absent.
-
-    Matched objects come first, those with the largest r_lambda before the others. Of an object that is not found but
-    has a number fixed by the real side, `sim` is its few simulated points.
-    """
-    frame = run.objects_of([pair_id]).sort_values("r_lambda", ascending=False, kind="stable")
-    rows = {(row["side"], row["community_id"]): row for row in plain_rows(frame)}
-    matched = []
-    alone = []
-    for (side, number), row in rows.items():
-        if row["fate"] == "extra":
-            alone.append({"real": None, "sim": row})
-        elif row["fate"] == "not_found":
-            few = rows.get(("sim", number), {"fate": None})
-            alone.append({"real": row, "sim": few if few["fate"] == "remnant" else None})
-        elif side == "real":
-            matched.append({"real": row, "sim": rows["sim", row["partner"]]})
-    return matched + alone
-
-
-def pair_object(run: FinishedRun, pair_id: str, name: str) -> Row:
-    """One of `pair_objects`: `7` or `real:7` is the real object 7 with its partner, `sim:7` the simulated one.
-
-    Raises
-    ------
-    RunError
-        The pair failed, or it has no such object.
-    """
-    side, _, number = name.rpartition(":")
-    for rows in pair_objects(run, pair_id):
-        row = rows.get(side or "real")
-        if row and str(row["community_id"]) == number:
-            return rows
-    raise RunError(
-        f"run {run.folder}, pair {pair_id}: no object {name!r}; objects are numbered from 0: 7 is "
-        "a real object, sim:7 a simulated one"
-    )

@@ -11,16 +11,15 @@ from numpy.typing import NDArray
 
 from ...schemas.columns import Row
 from ...schemas.metric_catalogue import QUADRANT_SCORES
-from .object_frame import plain_rows
+from .object_frame import SHAPES, plain_rows, shape_of
 
 #: A score of an object has changed if it moved by more than this.
 LEAST_CHANGE = 0.05
 KINDS = ("vanished", "worse", "mixed", "alike", "better", "appeared", "not found in both")
-_PLACE = ("n_points", "cx", "cy", "cz")
-#: Columns of the real scan, the same in both runs.
-_OF_BOTH = ("pair_id", "label", "shape", "range_m", "n_points")
+#: Columns of a real object that are the same in both runs.
+_OF_BOTH = ("cx", "cy", "cz", *SHAPES, "label", "range_m")
 #: Columns of the frame of objects that `follow` reads.
-FOLLOWED_COLUMNS = (*_PLACE[1:], *QUADRANT_SCORES, "label", "shape", "range_m")
+FOLLOWED_COLUMNS = (*_OF_BOTH, *QUADRANT_SCORES)
 #: Columns of the frame that it returns. Scores and simulated objects (`sim_before`, `sim_after`) are null if it is
 #: not found; an object without a label is called by its shape.
 CHANGE_COLUMNS = (
@@ -32,26 +31,19 @@ CHANGE_COLUMNS = (
 def follow(before: pd.DataFrame, after: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
     """Fate of each real object of some pairs (`CHANGE_COLUMNS`), and the pairs whose real objects differ.
 
-    Real objects differ if their number, their points or their centroids do.
+    Real objects differ if their number, points, centroids, classes or shapes do.
 
     Parameters
     ----------
     before, after : the real objects of both runs in the order of pairs and ids (`object_frame.object_frame`)
     """
-    keys = ["pair", "community_id"]
-    both = before.merge(after, how="outer", on=keys, suffixes=("_before", "_after"))
-    differs = pd.Series(False, index=both.index)
-    for name in _PLACE:
-        place = both[f"{name}_before"]
-        other = both[f"{name}_after"]
-        differs |= (place != other) & (place.notna() | other.notna())
-    is_unfollowed = both["pair"].isin(both.loc[differs, "pair"])
-    names = both["pair_id_before"].fillna(both["pair_id_after"])
-    unfollowed = names[is_unfollowed].unique().tolist()
-    both = both[~is_unfollowed]
-    changes = both.rename(columns={f"{name}_before": name for name in _OF_BOTH})
-    changes = changes.assign(real_id=both["community_id"], kind=kinds_of_change(both))
-    changes["n_points"] = changes["n_points"].astype(int)
+    keys = ["pair", "pair_id", "community_id", "n_points", *_OF_BOTH]
+    both = before.merge(after, "outer", keys, suffixes=("_before", "_after"), indicator="runs")
+    unfollowed = both.loc[both["runs"] != "both", "pair_id"].unique().tolist()
+    both = both[~both["pair_id"].isin(unfollowed)]
+    shapes = shape_of(*both[[*SHAPES]].to_numpy().T)
+    kinds = kinds_of_change(both)
+    changes = both.assign(real_id=both["community_id"], shape=shapes, kind=kinds)
     for when in ("before", "after"):
         partner = both[f"partner_{when}"]
         changes[f"sim_{when}"] = partner.where(partner >= 0).astype("Int32")

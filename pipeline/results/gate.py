@@ -50,10 +50,10 @@ _WHOLE = "a gate is about the whole dataset"
 #: Of runs whose dataset is on this machine.
 UNCHANGED = Criterion(
     "scans and labels are those that were evaluated",
-    measure="pairs.changed",
-    bound="max",
-    limit=0,
-    reason="else run it again",
+    "pairs.changed",
+    "max",
+    0,
+    "else run it again",
 )
 #: Criteria of every gate, unless the user gives another bound.
 ALWAYS = (

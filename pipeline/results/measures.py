@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...schemas.cause_catalogue import CAUSES, UNEVEN
-from ...schemas.data_files import read_rows
 from ...schemas.errors import (
     DatasetError,
     RunError,
@@ -27,6 +26,7 @@ from ...schemas.metric_catalogue import (
     scores_of,
 )
 from ...schemas.results import Unknown
+from ...schemas.tables import TABLES
 from ..datasets.content import input_hashes
 from ..datasets.pairs import Dataset, local_folder, read_dataset
 from .best_case import RunExcess
@@ -53,10 +53,10 @@ DOTTED = {
     **{column.replace("rays_", "rays."): column for column in RAY_MEANS},
 }
 #: Estimated properties of both sensors: `sensor.sim.range_noise_m` is the column `sensor_sim_range_noise_m`.
-SENSOR_VALUES = {
-    row["column"].replace("_", ".", 2): row["column"]
-    for row in read_rows("tables")
-    if row["table"] == "pairs" and row["column"].startswith("sensor_")
+SENSOR_VALUES: dict[str, str] = {
+    column.replace("_", ".", 2): column
+    for column in TABLES["pairs"].schema.names
+    if column.startswith("sensor_")
 }
 #: Gaps of tasks: `tasks.objects.lost` is the mean, `tasks.objects.lost.max` the largest value.
 TASK_GAPS = {f"tasks.{name}": name for name in scores_of("task")}
@@ -111,12 +111,11 @@ class Measures:
     def dataset_is_gone(self) -> bool:
         """True if the dataset's folder is not on this machine; a broken one is not gone."""
         try:
-            local_folder(self.run.record.dataset).stat()
-        except (FileNotFoundError, NotADirectoryError, ValueError, DatasetError):
+            return not local_folder(self.run.record.dataset).exists()
+        except DatasetError:
             return True
         except OSError:
-            pass  # it is there and cannot be read, which `_dataset` says
-        return False
+            return False  # it is there and cannot be read, which `_dataset` says
 
     def _of_pairs(self, score: str, stat: str = "mean") -> float:
         column = _COLUMNS[score]

@@ -5,7 +5,7 @@ Everything that describes many objects reads this frame: findings, overview, mea
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +16,6 @@ from ...schemas.columns import SIDES, Row
 from ...schemas.metric_catalogue import QUADRANT_LIMITS
 from ...schemas.tables import TABLES
 from ...stages.arrays import FloatArray
-from ...stages.statistics.bands import BAND_EDGES_M
 from ..storage.folder import RunFolder
 
 if TYPE_CHECKING:
@@ -82,29 +81,15 @@ def shape_of(
 _ALONE = {"real": "not_found", "sim": "extra"}
 #: Scores that are counts.
 _COUNTS = [field.name for field in TABLES["metrics"].schema if pa.types.is_integer(field.type)]
-_EXTENTS = ("extent_x", "extent_y", "extent_z")
-#: Computed columns, with the columns that they are computed from.
-_COMPUTED: dict[str, tuple[tuple[str, ...], Callable[..., NDArray[Any]]]] = {
-    "shape": (tuple(SHAPES), shape_of),
-    "band": (("range_m",), lambda range_m: np.digitize(range_m, BAND_EDGES_M) - 1),
-    "bearing_deg": (("cx", "cy"), lambda x, y: np.degrees(np.arctan2(y, x))),
-    "diagonal_m": (
-        _EXTENTS,
-        lambda *extents: np.sqrt(np.sum([extent**2 for extent in extents], axis=0)),
-    ),
-    "quadrant": (("cdc", "r_lambda"), quadrant_of),
-}
-ALL_COLUMNS = (*(name for names in COLUMNS_OF.values() for name in names), *_COMPUTED)
+EXTENTS = ("extent_x", "extent_y", "extent_z")
 #: Names with units, for Python users.
-WITH_UNITS = {f"c{axis}": f"{axis}_m" for axis in "xyz"} | {
-    f"extent_{axis}": f"extent_{axis}_m" for axis in "xyz"
-}
+WITH_UNITS = {f"c{axis}": f"{axis}_m" for axis in "xyz"} | {name: f"{name}_m" for name in EXTENTS}
 
 
 def object_frame(
     store: RunFolder,
     pair_ids: Sequence[str],
-    columns: Collection[str],
+    columns: Collection[str] | None = None,
     *,
     by_reference: bool,
     sides: Sequence[str] = SIDES,
@@ -121,9 +106,8 @@ def object_frame(
 
     Parameters
     ----------
-    columns : of `objects`, `coverage` and `metrics`, and shape (of `SHAPES`), band (index in `BAND_EDGES_M`),
-        bearing_deg (0 ahead, 90 left), diagonal_m (of the bounding box), quadrant. Scores of unmatched objects are
-        NaN, their counts 0
+    columns : of `objects`, `coverage` and `metrics`; by default all, and shape (of `SHAPES`), bearing_deg (0 ahead, 90
+        left), diagonal_m (of the bounding box) and quadrant. Scores of unmatched objects are NaN, their counts 0
     by_reference : True if the real side fixes the objects
     sides : both, or only "real"
 
@@ -134,27 +118,30 @@ def object_frame(
     """
     import pandas as pd
 
-    needed = set(columns)
-    for name in _COMPUTED.keys() & needed:
-        needed.update(_COMPUTED[name][0])
     sources: dict[tuple[str, str], list[str]] = {}
     for table, known in COLUMNS_OF.items():
-        stored = [name for name in known if name in needed]
-        if stored or table != "coverage":
-            for side in sides if table == "objects" else ("",):
-                sources[table, side] = [*_KEYS[table], *stored]
+        stored = [name for name in known if columns is None or name in columns]
+        for side in sides if table == "objects" else ("",):
+            sources[table, side] = [*_KEYS[table], *stored]
     tables = store.read_pairs(pair_ids, sources)
     objects = pd.concat([_of_side(side, tables) for side in sides], ignore_index=True)
     if by_reference:
         n_real = tables["objects", "real"].groupby("pair").size()
         has_real_id = objects["community_id"] < objects["pair"].map(n_real)
         objects.loc[(objects["fate"] == "extra") & has_real_id, "fate"] = "remnant"
-    for name in columns:
-        if name in _COMPUTED:
-            of_columns, compute = _COMPUTED[name]
-            objects[name] = compute(*(objects[column].to_numpy() for column in of_columns))
     objects.insert(0, "pair_id", np.array(pair_ids, dtype=object)[objects["pair"]])
-    return objects
+    return _described(objects) if columns is None else objects
+
+
+def _described(objects: pd.DataFrame) -> pd.DataFrame:
+    """The objects with the columns that are computed from others."""
+    x, y = objects[["cx", "cy"]].to_numpy().T
+    return objects.assign(
+        shape=shape_of(*objects[[*SHAPES]].to_numpy().T),
+        bearing_deg=np.degrees(np.arctan2(y, x)),
+        diagonal_m=np.linalg.norm(objects[[*EXTENTS]], axis=1),
+        quadrant=quadrant_of(*objects[["cdc", "r_lambda"]].to_numpy().T),
+    )
 
 
 def _of_side(side: str, tables: Mapping[tuple[str, str], pd.DataFrame]) -> pd.DataFrame:
@@ -165,9 +152,8 @@ def _of_side(side: str, tables: Mapping[tuple[str, str], pd.DataFrame]) -> pd.Da
     )
     objects = tables["objects", side].assign(side=side)
     objects = objects.merge(scores, how="left", on=["pair", "community_id"])
-    if ("coverage", "") in tables:
-        of_objects = tables["coverage", ""].dropna(subset="community_id")
-        objects = objects.merge(of_objects, how="left", on=["pair", "side", "community_id"])
+    of_objects = tables["coverage", ""].dropna(subset="community_id")
+    objects = objects.merge(of_objects, how="left", on=["pair", "side", "community_id"])
     objects["fate"] = np.where(objects["partner"].notna(), "matched", _ALONE[side])
     counts = [name for name in _COUNTS if name in objects]
     objects[counts] = objects[counts].fillna(0)

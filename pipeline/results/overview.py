@@ -30,17 +30,15 @@ from ...schemas.results import (
 )
 from ...schemas.tables import TABLES
 from ...stages.arrays import BoolArray, FloatArray
-from ...stages.statistics.bands import BAND_NAMES
+from ...stages.statistics.bands import BAND_EDGES_M, BAND_NAMES
 from ...stages.statistics.comparison import LEAST_PAIRS
 from ...stages.summary import mean_and_std
-from ..storage.files import path_exists
 from ..storage.folder import RunFolder
 from ..storage.run_record import as_options
 from ..storage.urls import recorded_path
-from .best_case import BEST_CASE_RECIPE
 from .causes import named_and_small, read_causes, unknown_causes
 from .independence import NEEDED, find_places, pairs_and_places
-from .object_frame import object_frame, plain_rows
+from .object_frame import EXTENTS, object_frame, plain_rows
 from .places import moved_words, place_words
 
 if TYPE_CHECKING:
@@ -65,8 +63,8 @@ NO_LABEL = "(no label)"
 _KEYS = ["pair", "side", "fate", "n_points"]
 #: Requested columns of the frame of objects.
 _COLUMNS = (
-    *("band", "label", "covered_0p3m"),
-    *(*DISTRIBUTED, "alignment_rms_m", "diagonal_m"),
+    *("range_m", "label", "covered_0p3m"),
+    *(*DISTRIBUTED, "alignment_rms_m", *EXTENTS),
 )
 
 
@@ -135,8 +133,9 @@ def object_groups(objects: pd.DataFrame) -> Iterator[ObjectGroup]:
     ----------
     objects : of both sides without remnants, with `_COLUMNS`; label is "" if an object has none
     """
+    bands = np.digitize(objects["range_m"], BAND_EDGES_M) - 1
     for band, name in enumerate(BAND_NAMES):
-        yield _group("range", name, objects[objects["band"] == band])
+        yield _group("range", name, objects[bands == band])
     sizes = objects[objects["label"] != ""].groupby("label").size()
     for label in sizes.sort_values(ascending=False, kind="stable").index:
         yield _group("class", label, objects[objects["label"] == label])
@@ -190,7 +189,8 @@ def doubt_lines(side: str, texts: Sequence[str], n_scans: int) -> list[str]:
 def _alignment(objects: pd.DataFrame) -> dict[str, int]:
     """Numbers of aligned and of badly aligned objects."""
     scored = objects[(objects["side"] == "real") & objects["r_lambda"].notna()]
-    is_bad = alignment_is_bad(scored["alignment_rms_m"].to_numpy(), scored["diagonal_m"].to_numpy())
+    diagonal_m = np.linalg.norm(scored[[*EXTENTS]], axis=1)
+    is_bad = alignment_is_bad(scored["alignment_rms_m"].to_numpy(), diagonal_m)
     return {"n_aligned": len(scored), "n_badly_aligned": int(np.count_nonzero(is_bad))}
 
 
@@ -251,9 +251,6 @@ def _limits(overview: Overview, record: RunRecord) -> Iterator[tuple[str, str]]:
             "each scan is segmented separately, so scores vary with the segmentation; "
             f"to compare simulators: {_by_reference(record)}",
         )
-    if not path_exists(recorded_path(record.dataset) / BEST_CASE_RECIPE):
-        words = "no best case yet; the scores of a perfect simulator: fidpipe best-case RUN"
-        yield "best_case", words
 
 
 def _frame_words(frames: Mapping[str, FrameSuspect], n_pairs: int) -> Iterator[str]:

@@ -14,7 +14,6 @@ _DIRECTIONS = (
     "right",
     "ahead right",
 )
-_LABEL = 25
 
 
 def size_word(length_m: float, width_m: float, height_m: float) -> str:
@@ -36,17 +35,6 @@ def size_word(length_m: float, width_m: float, height_m: float) -> str:
         "bush-sized": length_m <= 3,
     }
     return next((word for word, fits in sizes.items() if fits), "large")
-
-
-def short_label(label: str) -> str:
-    """The end of a long class name, which distinguishes classes.
-
-    Examples
-    --------
-    >>> short_label("movable_object.pushable_pullable")
-    '…object.pushable_pullable'
-    """
-    return label if len(label) <= _LABEL else f"…{label[1 - _LABEL :]}"
 
 
 def direction(bearing_deg: float) -> str:
@@ -73,7 +61,7 @@ def place_words(
     width, length = sorted(extents_m[:2])
     height = extents_m[2]
     size = f"{length:.1f} x {width:.1f} x {height:.1f} m"
-    what = short_label(label) if label else size_word(length, width, height)
+    what = label or size_word(length, width, height)
     return f"{what}, {size}, {range_m:.0f} m {direction(bearing_deg)}"
 
 

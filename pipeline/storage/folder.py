@@ -16,7 +16,7 @@ import pyarrow as pa
 
 from ...schemas.errors import RunError
 from ...schemas.tables import TABLES
-from .files import is_locked
+from .files import is_locked, path_exists
 from .ledger import LEDGER, Ledger
 from .run_record import command_again, read_run
 from .table_files import (
@@ -109,7 +109,11 @@ class RunFolder(TableFolder):
         return jobs
 
     def read_table(
-        self, table: str, pair_id: str = "", side: str = "", columns: list[str] | None = None
+        self,
+        table: str,
+        pair_id: str = "",
+        side: str = "",
+        columns: list[str] | None = None,
     ) -> pa.Table:
         """A table of one pair (of one side where each side has its own), or of the whole run if `pair_id` is "".
 
@@ -123,10 +127,7 @@ class RunFolder(TableFolder):
             The file is damaged or gone.
         """
         name = table_name(table, pair_id, side) if pair_id else f"{table}.parquet"
-        for record in self.ledger.jobs(pair_id).values():
-            if name in record.files:
-                return self.read(table, record.files[name], name, columns)
-        raise self.damaged(name)
+        return self._read(table, self.ledger.files_of(pair_id), name, columns)
 
     def read_pairs(
         self, pair_ids: Iterable[str], columns: Mapping[tuple[str, str], list[str]]
@@ -144,20 +145,33 @@ class RunFolder(TableFolder):
         """
         parts: dict[tuple[str, str], list[pa.Table]] = {source: [] for source in columns}
         for pair_id in pair_ids:
-            files: dict[str, StoredFile] = {}
-            for job in self.ledger.jobs(pair_id).values():
-                files |= job.files
+            files = self.ledger.files_of(pair_id)
             for (table, side), names in columns.items():
                 name = table_name(table, pair_id, side)
-                if name not in files:
-                    raise self.damaged(name)
-                parts[table, side].append(self.read(table, files[name], name, names))
+                parts[table, side].append(self._read(table, files, name, names))
         frames = {}
         for source, tables in parts.items():
             sizes = [len(table) for table in tables]
             pair = np.repeat(np.arange(len(tables), dtype=np.int32), sizes)
             frames[source] = pa.concat_tables(tables).to_pandas().assign(pair=pair)
         return frames
+
+    def _read(
+        self,
+        table: str,
+        files: Mapping[str, StoredFile],
+        name: str,
+        columns: list[str] | None,
+    ) -> pa.Table:
+        if name not in files:
+            raise self.damaged(name)
+        return self.read(table, files[name], name, columns)
+
+    def write_table(self, table: str, rows: pa.Table | Iterable[pa.Table], key: str) -> None:
+        """Write a table of the whole run, or parts of it, and add it to the ledger under its key."""
+        name = f"{table}.parquet"
+        stored = self.write_at(self.folder / name, table, rows, key)
+        self.ledger.put_job(JobRecord(table, "", "", key, {name: stored}))
 
     def again(self) -> str:
         """The command that recomputes what is damaged."""
@@ -168,20 +182,20 @@ class RunFolder(TableFolder):
         """Names of the files of a job that are not as they were written; tables at the URL alone are not checked."""
         damaged = []
         for name, stored in record.files.items():
-            path = self.folder / name
-            is_remote = self.url and "/" in name and not path.exists()
+            path = f"{self.folder}/{name}"  # in a third of the time of pathlib
+            is_remote = self.url and "/" in name and not path_exists(path)
             if not (is_remote or stored.is_at(path)):
                 damaged.append(name)
         return damaged
 
     def forget(self, pair_id: str, jobs: Container[JobId] | None = None) -> list[JobRecord]:
         """Remove some jobs of a pair, by default all, and their files; returns them."""
-        records = []
-        for record in self.ledger.jobs(pair_id).values():
-            if jobs is None or record.job in jobs:
-                records.append(record)
-                for name in record.files:
-                    (self.folder / name).unlink(missing_ok=True)
+        records = list(self.ledger.jobs(pair_id).values())
+        if jobs is not None:
+            records = [record for record in records if record.job in jobs]
+        for record in records:
+            for name in record.files:
+                (self.folder / name).unlink(missing_ok=True)
         self.ledger.drop_jobs(pair_id, records)
         return records
 
@@ -190,14 +204,14 @@ class RunFolder(TableFolder):
         known = self.ledger.files()
         n_intact = 0
         for table in TABLES:
-            names = [f"{table}.parquet"] if (self.folder / f"{table}.parquet").is_file() else []
+            names = {f"{table}.parquet"}
             if (self.folder / table).is_dir():
-                with os.scandir(self.folder / table) as entries:
-                    files = [entry for entry in entries if not entry.is_dir(follow_symlinks=False)]
-                names += [f"{table}/{entry.name}" for entry in files]
-            for name in set(names) - known:
-                (self.folder / name).unlink()
-                n_intact += "/." not in name
+                names |= {f"{table}/{path.name}" for path in (self.folder / table).iterdir()}
+            for name in names - known:
+                path = self.folder / name
+                if path.is_file():
+                    path.unlink()
+                    n_intact += "/." not in name
         return n_intact
 
 
@@ -222,9 +236,7 @@ def check_folder(out: Path, dataset: Path, experiment: str = "run") -> None:
         )
 
 
-def refuse_other_content(
-    name: str, out: Path, kind: str, *, is_own: bool, other: str = "--out"
-) -> None:
+def refuse_other_content(name: str, out: Path, kind: str, *, is_own: bool) -> None:
     """Raise `RunError` if results would be written to a file, or to a folder that holds something else.
 
     Parameters
@@ -232,24 +244,23 @@ def refuse_other_content(
     name : of the results, which begins the message, such as `run OUT`
     kind : of the results, as text
     is_own : whether the folder already holds results of this kind
-    other : what the user can give instead
     """
     if out.exists() and not out.is_dir():
-        raise RunError(f"{name}: expected a folder, got a file; give another {other}")
+        raise RunError(f"{name}: expected a folder, got a file; give another folder")
     if not is_own and out.is_dir() and any(not path.name.startswith(".") for path in out.iterdir()):
-        raise RunError(f"{name}: the folder holds other things than {kind}; give another {other}")
+        raise RunError(f"{name}: the folder holds other things than {kind}; give another folder")
 
 
-def refuse_overwrite(name: str, lost: str, why: Iterable[str], other: str = "--out") -> None:
+def refuse_overwrite(name: str, lost: str, why: Iterable[str]) -> None:
     """Raise `RunError`: a finished result is replaced only with `--replace`.
 
     Parameters
     ----------
-    name, other : see `refuse_other_content`
+    name : see `refuse_other_content`
     lost : what would be replaced
     why : description of what has changed
     """
     changes = "; ".join(why)
     raise RunError(
-        f"{name}: is finished, and {lost} would be replaced ({changes}); add --replace, or give another {other}"
+        f"{name}: is finished, and {lost} would be replaced ({changes}); add --replace, or give another folder"
     )

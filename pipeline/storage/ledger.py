@@ -19,7 +19,7 @@ import orjson
 from pydantic import TypeAdapter, ValidationError
 
 from .files import file_marks, hash_file, write_whole
-from .table_files import JobId, JobRecord, file_stem
+from .table_files import JobId, JobRecord, StoredFile, file_stem
 
 LEDGER = "ledger"  #: the folder of its files in that of a run
 INPUT_HASHES = "_inputs.json"  #: in it: hashes of input files, which only this machine can use
@@ -66,13 +66,16 @@ class Ledger:
                 names.append(entry.pair_id)
         return sorted(names)
 
+    def files_of(self, pair_id: str) -> dict[str, StoredFile]:
+        """The files of the finished jobs of a pair, by name relative to the run."""
+        files: dict[str, StoredFile] = {}
+        for record in self.jobs(pair_id).values():
+            files |= record.files
+        return files
+
     def files(self) -> set[str]:
         """Names of all files of finished jobs, relative to the run."""
-        files: set[str] = set()
-        for pair_id in ("", *self.pair_ids()):
-            for record in self.jobs(pair_id).values():
-                files.update(record.files)
-        return files
+        return set().union(*map(self.files_of, ("", *self.pair_ids())))
 
     def put_jobs(self, pair_id: str, records: Iterable[JobRecord]) -> None:
         """Add finished jobs of a pair, in place of those of the same names; an earlier failure is forgotten."""
@@ -101,8 +104,7 @@ class Ledger:
     def input_hash(self, path: Path) -> str:
         """SHA-256 of an input file; computed again only if its length, times or inode have changed."""
         if self._hashes is None:
-            content = _load(self._folder / INPUT_HASHES)
-            self._hashes = content if isinstance(content, dict) else {}
+            self._hashes = load_json(self._folder / INPUT_HASHES) or {}
         name = os.fsencode(path.absolute()).decode("latin-1")
         marks = file_marks(path)
         known = self._hashes.get(name)
@@ -115,7 +117,7 @@ class Ledger:
         """Write the hashes of input files that were computed, for later commands."""
         if self._has_new_hashes:
             self._has_new_hashes = False
-            _save(self._folder / INPUT_HASHES, self._hashes)
+            save_json(self._folder / INPUT_HASHES, self._hashes)
 
     def _read(self, pair_id: str) -> _PairEntry:
         entry = self._entry(file_stem(pair_id) if pair_id else _WHOLE_RUN)
@@ -124,27 +126,27 @@ class Ledger:
     def _entry(self, stem: str) -> _PairEntry | None:
         """The content of a file; None if it does not exist or is damaged."""
         try:
-            return _ENTRY.validate_python(_load(self._folder / f"{stem}.json"))
+            return _ENTRY.validate_python(load_json(self._folder / f"{stem}.json"))
         except ValidationError:
             return None
 
     def _write(self, entry: _PairEntry) -> None:
         path = self._folder / f"{file_stem(entry.pair_id) if entry.pair_id else _WHOLE_RUN}.json"
         if entry.jobs or entry.failure is not None:
-            _save(path, entry)
+            save_json(path, entry)
         else:
             path.unlink(missing_ok=True)
 
 
-def _save(path: Path, content: Any) -> None:
+def save_json(path: Path, content: Any) -> None:
     """Write JSON with the hash of its text in the line before it."""
     text = orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)
     digest = hashlib.sha256(text).hexdigest().encode()
     write_whole(path, b"%s\n%s\n" % (digest, text), outlasts_power=False)
 
 
-def _load(path: Path) -> Any:
-    """The content that `_save` wrote; None if the file does not exist, or has changed."""
+def load_json(path: Path) -> Any:
+    """The content that `save_json` wrote; None if the file does not exist, or has changed."""
     try:
         digest, _, text = path.read_bytes().partition(b"\n")
         if hashlib.sha256(text[:-1]).hexdigest().encode() == digest:

@@ -15,7 +15,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from ...schemas.columns import SIDES
-from ...schemas.errors import ScanError, StoreError
+from ...schemas.errors import StoreError
 from .files import write_whole
 from .object_store import (
     NoSuchObjectError,
@@ -82,19 +82,16 @@ def fetched_scan(stubs: Iterable[str]) -> Iterator[Path]:
 
     Raises
     ------
-    ScanError
+    StoreError
         An object cannot be fetched whole.
     """
     files = []
     with tempfile.TemporaryDirectory(prefix="fidpipe-") as folder:
         for stub in stubs:
             url, etag, size = stub.split("\n")[:3]
-            try:
-                content = read_object(url, etag)
-            except StoreError as error:
-                raise ScanError(str(error)) from error
+            content = read_object(url, etag)
             if len(content) != int(size):
-                raise ScanError(f"{url}: expected {size} bytes, got {len(content)}")
+                raise StoreError(f"{url}: expected {size} bytes, got {len(content)}")
             files.append(Path(folder, url.rpartition("/")[2]))
             files[-1].write_bytes(content)
         yield files[0]

@@ -21,13 +21,12 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-import orjson
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from ...schemas.errors import DatasetError, FidpipeError, RunError, StoreError
+from ...schemas.errors import FidpipeError, RunError, StoreError
 from ...schemas.tables import TABLES
 from .files import file_marks, is_locked, write_whole
-from .ledger import INPUT_HASHES, LEDGER, Ledger
+from .ledger import INPUT_HASHES, LEDGER, Ledger, load_json, save_json
 from .object_store import (
     ObjectChangedError,
     StoredObject,
@@ -78,22 +77,19 @@ def local_of(url: str) -> Path:
 
     Raises
     ------
-    DatasetError
+    StoreError
         The URL cannot be read.
     """
-    try:
-        _prepare_cache()
-        run = RemoteRun(url)
-        if run.is_in_use:
-            return run.folder
-        objects = [] if run.url.startswith("http") else list_objects(run.url)
-        names = {stored.name for stored in objects}
-        if not names & {RUN_JSON, LOCK}:
-            return mirror_dataset(run.url, objects)
-        run.pull(objects)
+    _prepare_cache()
+    run = RemoteRun(url)
+    if run.is_in_use:
         return run.folder
-    except StoreError as error:
-        raise DatasetError(str(error)) from error
+    objects = [] if run.url.startswith("http") else list_objects(run.url)
+    names = {stored.name for stored in objects}
+    if not names & {RUN_JSON, LOCK}:
+        return mirror_dataset(run.url, objects)
+    run.pull(objects)
+    return run.folder
 
 
 class RemoteRun:
@@ -105,7 +101,11 @@ class RemoteRun:
         self._index = self.folder.with_name(f".{self.folder.name}.objects.json")
         self._in_use = self.folder.with_name(f".{self.folder.name}.lock")
         self._lock = f"{self.url}/{LOCK}"
-        self._owner = _Owner(host=socket.gethostname(), pid=os.getpid(), token=secrets.token_hex(8))
+        self._owner = _Owner(
+            host=socket.gethostname(),
+            pid=os.getpid(),
+            token=secrets.token_hex(8),
+        )
         self._etag = ""
         self._renewed = 0.0
 
@@ -145,7 +145,7 @@ class RemoteRun:
         known |= self._get_all(missing)
         for name in (self._files().keys() & known.keys()) - names:
             (self.folder / name).unlink(missing_ok=True)  # others are newer than the last push
-        self._keep({name: marks for name, marks in known.items() if name in names})
+        save_json(self._index, {name: marks for name, marks in known.items() if name in names})
 
     def push(self) -> None:
         """Write what has changed in the folder.
@@ -175,7 +175,7 @@ class RemoteRun:
                             known[name] = marks
                         self._renew()
             finally:
-                self._keep(known)
+                save_json(self._index, known)
 
     def _get_all(self, objects: Sequence[StoredObject]) -> Known:
         """Fetch objects; returns what is known of them, by name."""
@@ -342,14 +342,7 @@ class RemoteRun:
 
     def _known(self) -> Known:
         """Etag and marks of each file, by name, as they were when the two places were equal."""
-        try:
-            known = orjson.loads(self._index.read_bytes())
-        except (FileNotFoundError, ValueError):  # new, or cut short: all is fetched again
-            return {}
-        return known if isinstance(known, dict) else {}
-
-    def _keep(self, known: Known) -> None:
-        write_whole(self._index, orjson.dumps(known))
+        return load_json(self._index) or {}  # new, or cut short: all is fetched again
 
 
 def _group(name: str) -> int:
@@ -384,19 +377,19 @@ def local_arguments(words: list[str]) -> Iterator[None]:
     """
     run = None
     for i, word in enumerate(words):
-        option, is_joined, value = word.partition("=")
-        if not word.startswith("--"):
-            option = words[i - 1]
-            value = word
-            is_joined = ""
+        option = words[i - 1]
+        before = ""
+        value = word
+        if word.startswith("--"):
+            option, _, value = word.partition("=")
+            before = f"{option}="
         if not is_url(value) or option == "--scheduler":
             continue
         if option in ("--out", "-o"):
             run = RemoteRun(value)
-            path = run.folder
+            words[i] = f"{before}{run.folder}"
         else:
-            path = local_of(value)
-        words[i] = f"{option}={path}" if is_joined else str(path)
+            words[i] = f"{before}{local_of(value)}"
     with run.written() if run else nullcontext():
         yield
 

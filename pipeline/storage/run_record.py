@@ -74,7 +74,7 @@ def read_run(folder: Path) -> dict[str, Any]:
         if seal and hashlib.sha256(content[: seal.start()]).hexdigest() != seal[1].decode():
             return {}
         record: dict[str, Any] = orjson.loads(content)
-        RunHeader.from_dict({name: record[name] for name in RunHeader.model_fields})
+        RunHeader.model_validate({name: record[name] for name in RunHeader.model_fields})
     except (FileNotFoundError, KeyError, TypeError, ValueError):
         return {}
     record.pop("sha256", None)
@@ -132,7 +132,7 @@ def run_header(
 def last_results(before: Mapping[str, Any]) -> RunRecord | None:
     """The last record of a folder; None if its run has not ended, or the record is not one of a run."""
     try:
-        return RunRecord.from_dict(before)
+        return RunRecord.model_validate(before)
     except ValueError:
         return None
 

@@ -24,6 +24,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import StringConstraints
 
+from ...schemas.columns import Table
 from ...schemas.errors import RunError
 from ...schemas.tables import TABLES
 from .files import write_whole
@@ -61,26 +62,26 @@ class StoredFile:
     sha256: str
     mtime_ns: int
 
-    def is_at(self, path: Path) -> bool:
+    def is_at(self, path: Path | str) -> bool:
         """True if the file at a path is as it was written, and not a link; hashed only if length or time differ."""
         status = self._status(path)
         is_same = status is not None and status.st_mtime_ns == self.mtime_ns
         return is_same or self.read(path) is not None
 
-    def read(self, path: Path) -> bytes | None:
+    def read(self, path: Path | str) -> bytes | None:
         """The content as it was written; None if the file is a link, has another content, or cannot be read."""
         if self._status(path) is None:
             return None
         try:
-            content = path.read_bytes()
+            content = Path(path).read_bytes()
         except OSError:
             return None
         return content if hashlib.sha256(content).hexdigest() == self.sha256 else None
 
-    def _status(self, path: Path) -> os.stat_result | None:
+    def _status(self, path: Path | str) -> os.stat_result | None:
         """Of the file at a path, if it has the right length and is not a link."""
         try:
-            status = path.lstat()
+            status = os.lstat(path)
         except OSError:
             return None
         is_like = status.st_size == self.size and stat.S_ISREG(status.st_mode)
@@ -202,7 +203,7 @@ class TableFolder:
             "fidpipe.key": key,
         }
         is_small = isinstance(rows, pa.Table) and rows.num_rows < _FEWEST_COMPRESSED
-        options = _writer_options(schema.schema) | {"compression": "none" if is_small else "zstd"}
+        options = _writer_options(schema) | {"compression": "none" if is_small else "zstd"}
         sink = pa.BufferOutputStream()
         with pq.ParquetWriter(sink, schema.schema, **options) as writer:
             for part in parts:
@@ -313,13 +314,15 @@ _CHECKED: dict[str, float] = {}
 
 
 @cache
-def _writer_options(schema: pa.Schema) -> dict[str, Any]:
-    """Options of `pyarrow.parquet.ParquetWriter`, which depend on the types of the columns alone."""
-    encodings = {field.name: _ENCODINGS[field.type] for field in schema if field.type in _ENCODINGS}
-    words = [name for name in schema.names if name not in encodings]
+def _writer_options(table: Table) -> dict[str, Any]:
+    """Options of `pyarrow.parquet.ParquetWriter`: no statistics, as a file has one pair, and its name no dictionary."""
+    columns = [field for field in table.schema if field.name not in table.of_file]
+    encodings = {
+        field.name: _ENCODINGS[field.type] for field in columns if field.type in _ENCODINGS
+    }
     return {
-        "use_dictionary": words,
-        "write_statistics": words,  # of numbers they cost a quarter of the time, and a file has one pair
+        "use_dictionary": [field.name for field in columns if field.name not in encodings],
+        "write_statistics": False,
         "column_encoding": encodings,
         "store_schema": False,
     }

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import re
-from functools import lru_cache
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -94,15 +93,10 @@ def stub_size(text: str) -> int:
 
 def cache_folder() -> Path:
     """FIDPIPE_CACHE, by default ~/.cache/fidpipe; in the folder for temporary files if the user has no home."""
-    return _cache_at(os.environ.get("FIDPIPE_CACHE"), os.environ.get("HOME"))
-
-
-@lru_cache(maxsize=4)
-def _cache_at(named: str | None, home: str | None) -> Path:
-    if named:
+    if named := os.environ.get("FIDPIPE_CACHE"):
         return Path(named).absolute()
     try:
-        return Path(home or Path.home(), ".cache", "fidpipe").absolute()
+        return Path.home() / ".cache" / "fidpipe"
     except RuntimeError:  # a user id without an entry, as in containers
         from tempfile import gettempdir
 

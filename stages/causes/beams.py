@@ -31,13 +31,17 @@ _MOST_RETURNS = 9  # of one ray that are compared
 _BEHIND_M = 0.3
 
 
-def dead_beams(sensor: SensorDescription, reference: Side, side: Side) -> IndexArray:
+def dead_beams(sensor: SensorDescription, reference: IndexArray, side: Side) -> IndexArray:
     """Beams of a sensor that return almost nothing on a side, although they do on the reference side.
 
     A beam is dead if it has less than 0.2 of the returns that it would have at the ratio of all returns.
+
+    Parameters
+    ----------
+    reference : (n,) beam of each return of the reference side
     """
     n_beams = len(sensor.elevation_deg)
-    n_reference = np.bincount(sensor.beam_of(reference.sensor_points), minlength=n_beams)
+    n_reference = np.bincount(reference, minlength=n_beams)
     n_side = np.bincount(_beams_hit(sensor, side), minlength=n_beams)
     is_compared = n_reference >= _FEWEST_RETURNS
     usual = n_side[is_compared].sum() / max(n_reference[is_compared].sum(), 1)
@@ -63,14 +67,14 @@ def exchanged_beams(
     """
     profiles = _range_profiles(sensor, side)
     expected = _range_profiles(sensor, reference)
-    distances = np.array([_profile_distance(a, b) for a, b in zip(profiles, expected, strict=True)])
+    distances = _profile_distances(profiles, expected)
     known = np.isfinite(distances)
     if not known.any():
         return []
     limit = max(_SUSPECT_LOG, _SUSPECT * float(np.median(distances[known])))
     nearest = {}
     for beam in np.flatnonzero(known & (distances > limit)).tolist():
-        to_others = np.array([_profile_distance(profiles[beam], other) for other in expected])
+        to_others = _profile_distances(profiles[beam], expected)
         best = int(np.nanargmin(to_others))
         if to_others[best] < _BETTER * distances[beam]:
             nearest[beam] = best
@@ -86,11 +90,13 @@ def _range_profiles(sensor: SensorDescription, side: Side) -> FloatArray:
     return np.where(n_returns > 0, np.log(median_m), np.nan).reshape(-1, n_bins)
 
 
-def _profile_distance(a: FloatArray, b: FloatArray) -> float:
-    """Median absolute difference of two profiles; NaN if they share too few bins."""
-    difference = np.abs(a - b)
-    difference = difference[np.isfinite(difference)]
-    return float(np.median(difference)) if len(difference) >= _FEWEST_BINS else np.nan
+def _profile_distances(profiles: FloatArray, expected: FloatArray) -> FloatArray:
+    """(beams,) median absolute difference of profiles; NaN if they share too few bins."""
+    difference = np.sort(np.abs(profiles - expected), axis=1)  # NaN last
+    n_bins = np.isfinite(difference).sum(axis=1, keepdims=True)
+    middle = np.hstack([(n_bins - 1) // 2, n_bins // 2])
+    median = np.take_along_axis(difference, middle, axis=1).mean(axis=1)
+    return np.where(n_bins[:, 0] >= _FEWEST_BINS, median, np.nan)
 
 
 def elevation_scale(reference: Side, side: Side) -> float | None:

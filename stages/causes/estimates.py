@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ...schemas.cause_catalogue import CAUSES, FLAT, LOSSES, PARAMETERS, UNEVEN
 from ...schemas.sensor_models import SENSORS
@@ -33,14 +32,13 @@ from .pose import Pose, fit_pose, undo_elevation_scale
 from .shapes import find_strays, flat_shapes, foliage_steps
 from .sides import PairScans, Side, noise_bounds
 from .unmatched import (
-    APART_M,
-    APART_PER_M,
     Explained,
     Unmatched,
     explain_directions,
     find_unmatched,
     in_gap,
     least_range_m,
+    near,
 )
 
 _LEAST_POINTS = 50  # of a side that has a surface to compare
@@ -164,8 +162,7 @@ def _is_without_road(real: Side, sim: Side, explained: Explained) -> bool:
     if len(road) < _LEAST_POINTS:
         return False
     few = road[:: len(road) // _LEAST_POINTS]
-    is_near = _is_near(real.chosen(few), sim.tree)
-    return bool(is_near.mean() < 1.0 - _MISSING_ROAD)
+    return bool(near(real.chosen(few), sim.tree).mean() < 1.0 - _MISSING_ROAD)
 
 
 def _is_above(side: Side, other: Side) -> bool:
@@ -175,7 +172,7 @@ def _is_above(side: Side, other: Side) -> bool:
     if len(low) < max(_LEAST_POINTS, _LOW_SHARE * len(other.points)):
         return False
     few = low[:: len(low) // _LEAST_POINTS]
-    n_apart = len(low) * float(1.0 - _is_near(other.chosen(few), side.tree).mean())
+    n_apart = len(low) * float(1.0 - near(other.chosen(few), side.tree).mean())
     return n_apart > _LOW_SHARE * len(other.points)
 
 
@@ -330,8 +327,8 @@ def _amounts(real: Side, sim: Side, recorded: Side, explained: Explained) -> dic
     missing_parts = real.points[missing.is_part | missing.is_moved]
     invented_parts = sim.points[invented.is_part | invented.is_moved]
     parts = search_tree(np.vstack([missing_parts, invented_parts]))
-    is_used_real = ~(_is_near(real, parts) | missing.is_beyond | explained.real)
-    is_used_sim = ~(_is_near(sim, parts) | explained.sim)
+    is_used_real = ~(near(real, parts) | missing.is_beyond | explained.real)
+    is_used_sim = ~(near(sim, parts) | explained.sim)
     return {
         "maximum range": _maximum_range(real.chosen(~explained.real), sim.chosen(~explained.sim)),
         "minimum range": _difference(least_range_m(real), least_range_m(sim)),
@@ -347,13 +344,6 @@ def _amounts(real: Side, sim: Side, recorded: Side, explained: Explained) -> dic
         FLAT: _flat_amount(real, sim),
         **_sensor_amounts(real, sim, recorded, explained),
     }
-
-
-def _is_near(side: Side, places: cKDTree) -> BoolArray:
-    """(n,) True for points of a side at some places: nearer than the counterpart of a point has to be."""
-    limit_m = APART_M + APART_PER_M * side.range_m
-    apart_m, _ = places.query(side.points, distance_upper_bound=1.001 * limit_m.max())
-    return np.less_equal(apart_m, limit_m)
 
 
 def _share_of(is_concerned: BoolArray) -> Amount:
@@ -390,8 +380,9 @@ def _stray_amount(real: Side, sim: Side) -> Amount:
 
 def _stray_share(side: Side) -> float:
     """Strays over the returns on smooth surface, of every k-th return."""
-    n = len(side.points)
-    is_stray, is_smooth = find_strays(side, np.arange(0, n, n // _STRAY_POINTS + 1))
+    order = side.ray_tree.indices  # neighbours next to each other, which speeds up the search
+    every = len(order) // _STRAY_POINTS + 1
+    is_stray, is_smooth = find_strays(side, order[order % every == 0])
     return float(is_stray.sum() / max(is_smooth.sum(), 1))
 
 

@@ -18,9 +18,8 @@ _N_CELLS = _N_AROUND * (_N_AROUND // 2 + 2)
 _EDGE_DEG = 0.15  # from a beam to the edge of a cell
 _FEWEST = 5  # real returns of a cell
 _FEWEST_SIM = 2.5  # returns that the simulated side would have in it
-_ALIKE = (
-    0.1  # relative difference of the median ranges of a cell in which both sides see one surface
-)
+#: Relative difference of the median ranges of a cell in which both sides see one surface.
+_ALIKE = 0.1
 _BEAM_MARGIN_DEG = 0.2  # beyond the outermost beams of both sides
 
 

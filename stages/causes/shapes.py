@@ -27,8 +27,8 @@ def foliage_steps(real: Side, sim: Side) -> tuple[IndexArray, FloatArray]:
     planes = real.object_planes
     is_leaf = (planes.scattering >= SCATTERED) & (planes.variance[:, 2] < _LEAF_SPREAD_M**2)
     leaves = real.object_rows[is_leaf]
-    angle, near = sim.ray_tree.query(real.rays[leaves])
-    is_met = angle < np.radians(_RAY_DEG)
+    angle, near = sim.ray_tree.query(real.rays[leaves], distance_upper_bound=np.radians(_RAY_DEG))
+    is_met = np.isfinite(angle)
     return near[is_met], sim.range_m[near[is_met]] - real.range_m[leaves[is_met]]
 
 
@@ -79,7 +79,7 @@ def _fit_inverse_range(side: Side, rows: IndexArray) -> tuple[FloatArray, FloatA
     across = np.einsum("nkd,nd->nk", offset, level)
     columns = np.stack([np.ones(near.shape), across, offset[:, :, 2]], axis=2)
     inverse = (1.0 / side.range_m)[near]
-    gram = np.einsum("nki,nkj->nij", columns, columns) + 1e-9 * np.eye(3)
+    gram = columns.transpose(0, 2, 1) @ columns + 1e-9 * np.eye(3)
     fit = np.linalg.solve(gram, np.einsum("nki,nk->ni", columns, inverse)[..., None])[..., 0]
     error = np.einsum("nki,ni->nk", columns, fit) - inverse
     return fit[:, 0], np.sqrt((error**2).mean(axis=1)) * side.range_m[rows]

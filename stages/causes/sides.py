@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..arrays import BoolArray, FloatArray, IndexArray, azimuths_deg
+from ..arrays import BoolArray, FloatArray, IndexArray, azimuths_deg, sorted_rows
 from ..clean import seen_from
 from ..linalg.nearest import search_tree
 from ..pieces import CutScan
@@ -102,15 +102,15 @@ class Side:
         """Chord from some rays to the nearest others, and the rows of these, (k, n_around) each."""
         chord, near = self.ray_tree.query(self.rays[rows], k=n_around + 1)
         is_self = near == rows[:, None]
-        is_self[~is_self.any(axis=1), -1] = (
-            True  # more other rays than these have the same direction
-        )
+        has_no_self = ~is_self.any(axis=1)  # more other rays than these have the same direction
+        is_self[has_no_self, -1] = True
         return chord[~is_self].reshape(-1, n_around), near[~is_self].reshape(-1, n_around)
 
     @cached_property
     def object_rows(self) -> IndexArray:
-        """(k,) rows of the points that are not ground."""
-        return np.flatnonzero(~self.is_ground)
+        """(k,) rows of the points that are not ground, neighbours next to each other, which speeds up searches."""
+        order: IndexArray = self.tree.indices
+        return order[~self.is_ground[order]]
 
     @cached_property
     def object_planes(self) -> LocalPlanes:
@@ -142,9 +142,12 @@ class Side:
 
     def chosen(self, is_kept: BoolArray | IndexArray) -> Side:
         """The side with some of its points, or all of them in another order."""
-        is_low = self.moves_with_road[is_kept]
+        rows = np.arange(len(self.points))[is_kept]
         return replace(
-            self, points=self.points[is_kept], is_ground=self.is_ground[is_kept], is_low=is_low
+            self,
+            points=self.points.take(rows, axis=0),
+            is_ground=self.is_ground[rows],
+            is_low=self.moves_with_road[rows],
         )
 
 
@@ -175,7 +178,7 @@ def recorded_side(
         T_real_sim = seen_from(position, T_real_sim)
     is_low = scan.is_ground | (scan.height_m < _LOW_M)
     side = Side(points, scan.is_ground, sensor, T_real_sim, is_low)
-    return side.chosen(np.lexsort(side.points.T))
+    return side.chosen(sorted_rows(*side.points.T[::-1]))
 
 
 @dataclass(frozen=True)

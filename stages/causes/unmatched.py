@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IndexArray
 from ..linalg.nearest import search_tree
@@ -18,11 +19,9 @@ _BLIND = 0.1  # of the usual number of returns, in fine sectors
 _WIDE_GAP_DEG = (30.0, 330.0)
 _DENSE_DEG = 0.35  # azimuth between returns up to which sectors are fine
 #: A point without a counterpart is farther from the other side than this, and this times its range.
-APART_M, APART_PER_M = 0.25, 0.01
-_CUT, _N_AROUND = (
-    0.003,
-    36,
-)  # of the points of beams that are not dead, and sectors, in which a minimum range cuts
+_APART_M, _APART_PER_M = 0.25, 0.01
+#: Share of the points of beams that are not dead, and number of sectors, in which a minimum range cuts.
+_CUT, _N_AROUND = 0.003, 36
 _CLUTTER_M = 6.0  # nearer returns without a real counterpart are clutter
 _CUT_M = 0.1  # beyond the nearest return, where cleaning may drop that of one side only
 _CLUSTER_M = 0.6
@@ -65,10 +64,10 @@ def explain_directions(real: Side, sim: Side) -> Explained:
     exchanged, is_exchanged_real, is_exchanged_sim = _find_exchanged(real, sim)
     if real.sensor.elevation_deg and not exchanged:
         beam = real.sensor.beam_of(real.sensor_points)
-        dead = dead_beams(real.sensor, real.chosen(~is_blind), sim)
+        dead = dead_beams(real.sensor, beam[~is_blind], sim)
         is_dead = np.isin(beam, dead)
         if _is_cut(real, is_near & ~is_dead):
-            dead = dead_beams(real.sensor, real.chosen(~is_blind & ~is_near), sim)
+            dead = dead_beams(real.sensor, beam[~is_blind & ~is_near], sim)
             is_dead = np.isin(beam, dead)
     is_near &= _is_cut(real, is_near & ~is_dead)
     return Explained(
@@ -181,23 +180,36 @@ def find_unmatched(a: Side, b: Side, explained: Explained) -> tuple[Unmatched, U
 
 def _apart_per_m(density: float) -> float:
     """Part of the range at a density relative to the other side: about in proportion to it beyond twice that."""
-    return APART_PER_M * max(1.5 * density - 2.0, 1.0)
+    return _APART_PER_M * max(1.5 * density - 2.0, 1.0)
 
 
 def _unmatched(side: Side, other: Side, apart_per_m: float, is_explained: BoolArray) -> Unmatched:
     """Points of a side without a counterpart; none of them is moved yet."""
-    limit_m = APART_M + apart_per_m * side.range_m
-    apart_m, _ = other.tree.query(side.points, distance_upper_bound=1.001 * limit_m.max())
-    is_apart = (apart_m > limit_m) & ~is_explained
+    is_apart = ~(near(side, other.tree, apart_per_m) | is_explained)
     is_beyond = side.range_m > other.range_m.max()
     is_part = is_apart & ~is_beyond
     rows = np.flatnonzero(is_part)
     points = side.points[rows]
-    n_near = search_tree(points).query_ball_point(points, _CLUSTER_M, return_length=True)
-    is_part[rows] = n_near > _CLUSTER * np.maximum(_CLUTTER_M / side.range_m[rows], 1.0) ** 2
+    tree = search_tree(points)
+    last_m, _ = tree.query(points, k=[1 + _CLUSTER], distance_upper_bound=_CLUSTER_M)
+    is_part[rows] = np.isfinite(last_m[:, 0])
+    close = rows[side.range_m[rows] < _CLUTTER_M]
+    n_near = tree.query_ball_point(side.points[close], _CLUSTER_M, return_length=True)
+    is_part[close] = n_near > _CLUSTER * (_CLUTTER_M / side.range_m[close]) ** 2
     nearest_m = min(side.range_m.min(), other.range_m.min()) + _CUT_M
     is_clutter = is_apart & ~is_part & (side.range_m > nearest_m) & (side.range_m < _CLUTTER_M)
     return Unmatched(is_apart, is_beyond, is_clutter, is_part, np.zeros(len(is_part), np.bool_))
+
+
+def near(side: Side, places: cKDTree, apart_per_m: float = _APART_PER_M) -> BoolArray:
+    """(n,) True for points of a side at some places: nearer than the counterpart of a point has to be."""
+    limit_m = _APART_M + apart_per_m * side.range_m
+    order = side.tree.indices  # neighbours next to each other, which speeds up the search
+    apart_m = np.empty(len(order))
+    apart_m[order], _ = places.query(
+        side.points.take(order, axis=0), distance_upper_bound=1.001 * limit_m.max()
+    )
+    return np.less_equal(apart_m, limit_m)
 
 
 def _mark_moved(

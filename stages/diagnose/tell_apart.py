@@ -89,22 +89,31 @@ def describe_points(
     chosen = points[rows]
     range_m = np.linalg.norm(chosen, axis=1)
     scales = [min(k + 1, len(points)) for k in SCALES]  # with the point itself
-    planes = [fit_planes(points, chosen, k) for k in scales]
     distance_m, _ = tree.query(chosen, k=scales)
-    columns = [
-        (p.variance[:, 1] - p.variance[:, 0]) / np.maximum(p.variance[:, 2], 1e-12) for p in planes
-    ]
-    columns += [np.sqrt(p.variance[:, 0]) for p in planes]
-    columns += [radius_m / range_m for radius_m in distance_m.T]
     n_near = tree.query_ball_point(chosen, _DENSITY_M, return_length=True)
-    columns += [np.abs(planes[1].normal[:, 2]), np.log(n_near), height_m[rows]]
+    planes = [fit_planes(points, chosen, k) for k in scales]
+    columns = []
+    for plane in planes:
+        smallest, middle, largest = plane.variance.T
+        columns.append((middle - smallest) / np.maximum(largest, 1e-12))
+    columns += [np.sqrt(plane.variance[:, 0]) for plane in planes]
+    columns += [radius_m / range_m for radius_m in distance_m.T]
+    columns += [
+        np.abs(planes[1].normal[:, 2]),
+        np.log(n_near),
+        height_m[rows],
+    ]
     names = FAMILIES["surface"]
     if own_points is not None:
-        columns += _rays(own_points, rows)
+        columns += _ray_features(own_points, rows)
         names += FAMILIES["rays"]
     if intensity is not None:
         around = intensity[tree.query(chosen, k=scales[0])[1]]
-        columns += [intensity[rows], around.mean(axis=1), around.std(axis=1)]
+        columns += [
+            intensity[rows],
+            around.mean(axis=1),
+            around.std(axis=1),
+        ]
         names += FAMILIES["intensity"]
     return dict(zip(names, columns, strict=True))
 
@@ -149,21 +158,22 @@ def folds(place: IntArray, azimuth_deg: FloatArray, is_sim: BoolArray) -> list[F
         Fewer than two folds have points of both sides.
     """
     n_places = int(place.max()) + 1
-    is_by_place = n_places >= LEAST_PLACES
-    if is_by_place:
+    if n_places >= LEAST_PLACES:
         values: FloatArray = place.astype(np.float64)
-        limits = np.linspace(0, n_places, min(n_places, MOST_FOLDS) + 1).round() - 0.5
+        n_folds = min(n_places, MOST_FOLDS)
+        limits = np.linspace(0, n_places, n_folds + 1).round() - 0.5
         margin = 1.0
+        turn = np.inf
     else:
         values = azimuth_deg
         limits = np.quantile(azimuth_deg, np.linspace(0, 1, SECTORS + 1))
         limits[-1] += 1.0
         margin = GUARD_DEG
+        turn = 360.0
     usable = []
     for low, high in pairwise(limits):
         distance = np.abs(values - (low + high) / 2)
-        if not is_by_place:
-            distance = np.minimum(distance, 360 - distance)
+        distance = np.minimum(distance, turn - distance)
         train = np.flatnonzero(distance > (high - low) / 2 + margin)
         test = np.flatnonzero((values >= low) & (values < high))
         if _has_both(is_sim[train]) and _has_both(is_sim[test]):
@@ -176,15 +186,18 @@ def folds(place: IntArray, azimuth_deg: FloatArray, is_sim: BoolArray) -> list[F
 
 
 def _has_both(is_sim: BoolArray) -> bool:
+    """True if enough points are of each side."""
     return bool(min(np.bincount(is_sim, minlength=2)) >= _LEAST_POINTS)
 
 
-def _rays(points: FloatArray, rows: IndexArray) -> list[FloatArray]:
+def _ray_features(points: FloatArray, rows: IndexArray) -> list[FloatArray]:
+    """Azimuth, elevation and range to the nearest ray, and range to the mean of the nearest four, (m,) each."""
     range_m = np.linalg.norm(points, axis=1)
     elevation = np.degrees(np.arcsin(points[:, 2] / range_m))
     azimuth = azimuths_deg(points) * np.cos(np.radians(elevation))
     places = np.column_stack([azimuth, _ROW_WEIGHT * elevation])
-    near = cKDTree(places).query(places[rows], k=5)[1][:, 1:]
+    _, nearest = cKDTree(places).query(places[rows], k=5)
+    near = nearest[:, 1:]  # without the ray itself
     step = np.abs(places[near[:, 0]] - places[rows])
     change = range_m[near] - range_m[rows, None]
     return [

@@ -106,7 +106,10 @@ def cast_rays(triangles: FloatArray, directions: FloatArray) -> Hits:
 
 
 def return_probability(
-    sensor: SensorModel, range_m: FloatArray, cos_incidence: FloatArray, reflectivity: FloatArray
+    sensor: SensorModel,
+    range_m: FloatArray,
+    cos_incidence: FloatArray,
+    reflectivity: FloatArray,
 ) -> FloatArray:
     """The probability that a pulse that hits a surface is detected; it never rises with the range.
 

@@ -55,13 +55,15 @@ def extend_map(voxels: FloatArray, points: FloatArray, intensity: FloatArray) ->
     points : (m, 3) float64, metres, in the frame of the new scan
     intensity : (m,) float64, NaN if unknown
     """
-    rows = np.concatenate([voxels, np.column_stack([points, intensity, np.ones(len(points))])])
+    new = np.column_stack([points, intensity, np.ones(len(points))])
+    rows = np.concatenate([voxels, new])
     band = _bands(rows[:, :3])
     merged = []
     for number in range(_BANDS):
         of_band = rows[band == number]
         weight = of_band[:, 4]
-        _, ids = np.unique(voxel_ids(of_band[:, :3], VOXEL_M * 2.0**number), return_inverse=True)
+        voxel = voxel_ids(of_band[:, :3], VOXEL_M * 2.0**number)
+        _, ids = np.unique(voxel, return_inverse=True)
         total = np.bincount(ids, weight)
         sums = sums_by_id(weight[:, None] * of_band[:, :4], ids, len(total))
         merged.append(np.column_stack([sums / total[:, None], total]))
@@ -69,7 +71,10 @@ def extend_map(voxels: FloatArray, points: FloatArray, intensity: FloatArray) ->
 
 
 def rescan(
-    voxels: FloatArray, directions: FloatArray, sensor: SensorModel, rng: np.random.Generator
+    voxels: FloatArray,
+    directions: FloatArray,
+    sensor: SensorModel,
+    rng: np.random.Generator,
 ) -> tuple[FloatArray, FloatArray]:
     """Scan a map by a sensor at the origin.
 
@@ -120,8 +125,10 @@ def _onto_planes(
 ) -> FloatArray:
     """Ranges on the local planes of the map: x = u (n . m) / (n . u), with m and n mean and normal."""
     planes = fit_planes(points, rays * range_m[:, None], _PLANE_NEIGHBOURS)
+    to_plane_m = (planes.normal * planes.mean).sum(axis=1)
+    cosine = (planes.normal * rays).sum(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        plane_m = (planes.normal * planes.mean).sum(axis=1) / (planes.normal * rays).sum(axis=1)
+        plane_m = to_plane_m / cosine
     return np.where(np.abs(plane_m - range_m) <= widest_m, plane_m, range_m)
 
 
@@ -146,7 +153,8 @@ def recorded_directions(scan: FloatArray, others: FloatArray) -> FloatArray:
     """
     is_seen = np.zeros(_DIRECTION_CELLS, dtype=np.bool_)
     is_seen[_direction_cells(scan)] = True
-    is_near = binary_dilation(np.pad(is_seen, ((1, 1), (0, 0)), mode="wrap"), np.ones((3, 3)))[1:-1]
+    around = np.pad(is_seen, ((1, 1), (0, 0)), mode="wrap")
+    is_near = binary_dilation(around, np.ones((3, 3)))[1:-1]
     columns, rows = _direction_cells(others)
     _, first = np.unique(columns * _DIRECTION_CELLS[1] + rows, return_index=True)
     added = np.sort(first[~is_near[columns[first], rows[first]]])
@@ -180,5 +188,8 @@ def _discs(
     u /= np.linalg.norm(u, axis=1)[:, None]
     v = np.cross(normal, u)
     half_m = (np.sqrt(np.pi) / 2 * radius_m)[:, None]
-    corners = [centre + half_m * (a * u + b * v) for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
-    return np.stack(corners, axis=1)[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3, 3)
+    corners = []
+    for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1)):
+        corners.append(centre + half_m * (a * u + b * v))
+    squares = np.stack(corners, axis=1)
+    return squares[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3, 3)

@@ -72,7 +72,8 @@ def fill_gaps(
     ([[5.0, 0.0, 0.0]], [1])
     """
     gap = np.repeat(np.arange(len(rows)), n_lost)
-    number = np.arange(len(gap)) - np.repeat(np.cumsum(n_lost) - n_lost, n_lost)
+    first = np.cumsum(n_lost) - n_lost
+    number = np.arange(len(gap)) - np.repeat(first, n_lost)
     share = ((number + 1) / (n_lost[gap] + 1))[:, None]
     range_m = np.linalg.norm(points[rows], axis=2, keepdims=True)
     direction = (points[rows] / range_m)[gap]

@@ -90,8 +90,10 @@ def _bend(points: FloatArray, per_m: float) -> FloatArray:
     """Points of a straight street on one of this curvature, positive to the left."""
     x, y, z = np.moveaxis(points, -1, 0)
     radius_m = 1 / per_m
-    bent_y = radius_m - (radius_m - y) * np.cos(x * per_m)
-    return np.stack([(radius_m - y) * np.sin(x * per_m), bent_y, z], axis=-1)
+    angle = x * per_m
+    bent_x = (radius_m - y) * np.sin(angle)
+    bent_y = radius_m - (radius_m - y) * np.cos(angle)
+    return np.stack([bent_x, bent_y, z], axis=-1)
 
 
 def _ground() -> FloatArray:
@@ -99,8 +101,10 @@ def _ground() -> FloatArray:
     x, y = np.mgrid[-130:131:2.5, -65:66:2.5]
     z = 0.005 * np.abs(y) + 0.01 * np.sin(x / 7.0) * np.cos(y / 5.0)
     grid = np.stack([x, y, z], axis=-1)
-    right = np.stack([grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:]], axis=2)
-    left = np.stack([grid[:-1, :-1], grid[1:, 1:], grid[:-1, 1:]], axis=2)
+    first = grid[:-1, :-1]
+    last = grid[1:, 1:]
+    right = np.stack([first, grid[1:, :-1], last], axis=2)
+    left = np.stack([first, last, grid[:-1, 1:]], axis=2)
     return np.concatenate([right, left]).reshape(-1, 3, 3)
 
 
@@ -122,12 +126,14 @@ def _box(length_m: float, width_m: float, height_m: float) -> FloatArray:
 def _house(rng: Generator) -> FloatArray:
     """A house with a gable roof."""
     gable = np.array([[-1.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.7], [-1.0, 1.0]])
-    return _prism(gable * rng.uniform([3.5, 2.8], [5.0, 5.0]), rng.uniform(8.0, 14.0))
+    profile = gable * rng.uniform([3.5, 2.8], [5.0, 5.0])
+    return _prism(profile, rng.uniform(8.0, 14.0))
 
 
 def _fence(rng: Generator) -> FloatArray:
     """A low wall or a clipped hedge along the street."""
-    return _box(rng.uniform(8.0, 16.0), rng.uniform(0.25, 0.9), rng.uniform(0.5, 1.7))
+    length_m, width_m, height_m = rng.uniform([8.0, 0.25, 0.5], [16.0, 0.9, 1.7])
+    return _box(length_m, width_m, height_m)
 
 
 def _car(rng: Generator) -> FloatArray:
@@ -148,15 +154,17 @@ def _post(height_m: float, radius_m: float) -> FloatArray:
 def _pole(rng: Generator) -> FloatArray:
     """A lamp or a traffic sign: a post with a box on its top."""
     height_m = rng.uniform(2.0, 7.0)
-    return np.concatenate([_post(height_m, 0.07), _box(0.1, 1.0, 0.5) + height_m * _UP])
+    top = _box(0.1, 1.0, 0.5) + height_m * _UP
+    return np.concatenate([_post(height_m, 0.07), top])
 
 
 def _tree(rng: Generator) -> FloatArray:
     """A trunk, and a crown on its upper two thirds."""
     height_m = rng.uniform(4.0, 10.0)
-    crown = _crown(height_m * rng.uniform([0.2, 0.2, 0.3], [0.33, 0.33, 0.4]), rng)
+    radii_m = height_m * rng.uniform([0.2, 0.2, 0.3], [0.33, 0.33, 0.4])
     middle_m = 0.65 * height_m
-    return np.concatenate([_post(middle_m, 0.028 * height_m), crown + middle_m * _UP])
+    crown = _crown(radii_m, rng) + middle_m * _UP
+    return np.concatenate([_post(middle_m, 0.028 * height_m), crown])
 
 
 def _bush(rng: Generator) -> FloatArray:
@@ -168,8 +176,9 @@ def _crown(radii_m: FloatArray, rng: Generator) -> FloatArray:
     """Clumps of triangular leaves, about two leaves deep along a line of sight."""
     area_m2 = np.pi * radii_m[0] * (radii_m[1] + radii_m[2])
     n_leaves = min(int(1.4 * area_m2 / _LEAF_M**2), _MAX_LEAVES)
-    clumps = rng.normal(0.0, 0.35, (_CLUMPS, 3))[rng.integers(_CLUMPS, size=n_leaves)]
-    places = (clumps + rng.normal(0.0, 0.2, (n_leaves, 3))) * radii_m
+    clumps = rng.normal(0.0, 0.35, (_CLUMPS, 3))
+    clump_of = rng.integers(_CLUMPS, size=n_leaves)
+    places = (clumps[clump_of] + rng.normal(0.0, 0.2, (n_leaves, 3))) * radii_m
     corners = rng.normal(size=(n_leaves, 3, 3))
     corners *= _LEAF_M / np.linalg.norm(corners, axis=2, keepdims=True)
     return places[:, None] + corners
@@ -225,7 +234,8 @@ def _invent_sheets(
     for near in cKDTree(centres).query_ball_point(centres[starts], _NEIGHBOUR_M):
         corners = centres[rng.choice(near, 4)]
         sheets += [corners[:3], corners[1:]]
-    return np.array(sheets).reshape(-1, 3, 3), np.repeat(object_ids[starts], 2)
+    triangles = np.array(sheets).reshape(-1, 3, 3)
+    return triangles, np.repeat(object_ids[starts], 2)
 
 
 def _smooth_field(places: FloatArray, rng: Generator) -> FloatArray:

@@ -13,6 +13,7 @@ from ..arrays import FloatArray, level_m
 from ..frame_search import ground_height
 from ..linalg.subgraph import connected_points
 from ..surfels import voxel_ids
+from ..thinning import shares_voxel
 
 _NEAREST_M = 3.0
 _FARTHEST_M = 40.0
@@ -53,8 +54,7 @@ class SequenceScan:
     def __init__(self, points: FloatArray) -> None:
         level = level_m(points)
         points = points[(level > _NEAREST_M) & (level < _FARTHEST_M)]
-        _, first = np.unique(voxel_ids(points, _VOXEL_M), return_index=True)
-        thinned = points[np.sort(first)]
+        thinned = points[~shares_voxel(points, _VOXEL_M)]
         self.ground_m = ground_height(thinned)
         above = thinned[thinned[:, 2] > self.ground_m + _ABOVE_GROUND_M]
         order = np.random.default_rng(0).permutation(len(above))
@@ -126,7 +126,7 @@ def find_time_offset(
             for j in range(max(0, i - MAX_FRAMES_LATE), min(len(sim), i + MAX_FRAMES_LATE + 1)):
                 if j != i:
                     misfits.setdefault(j - i, []).append((paired[i], scan.misfit_m(sim[j])))
-    best: TimeOffset | None = None
+    clear = []
     for late in sorted(misfits):
         both = np.array(misfits[late])
         both = both[np.isfinite(both).all(axis=1)]
@@ -135,10 +135,9 @@ def find_time_offset(
         as_paired_m, misfit_m = both.mean(axis=0).tolist()
         gain_m = as_paired_m - misfit_m
         is_large = gain_m > max(_MIN_GAIN_M, _MIN_GAIN * as_paired_m)
-        is_clear = is_large and np.mean(both[:, 1] < both[:, 0]) >= _AGREEING
-        if is_clear and (best is None or gain_m > best.as_paired_m - best.misfit_m):
-            best = TimeOffset(late, misfit_m, as_paired_m)
-    return best
+        if is_large and np.mean(both[:, 1] < both[:, 0]) >= _AGREEING:
+            clear.append(TimeOffset(late, misfit_m, as_paired_m))
+    return max(clear, key=lambda offset: offset.as_paired_m - offset.misfit_m, default=None)
 
 
 def moved_m(sequences: Sequence[Sequence[SequenceScan]]) -> float:
@@ -197,7 +196,9 @@ def find_ego_hits(scans: Sequence[FloatArray], ground_m: float) -> EgoHits | Non
         is_around = level_m(points) < _AROUND_M
         near.append(points[is_around & (np.abs(points[:, 2] - ground_m) > _EGO_GROUND_M)])
     trees = [cKDTree(points) for points in near]
-    hits = [_staying(points, [*trees[:i], *trees[i + 1 :]]) for i, points in enumerate(near)]
+    hits = []
+    for i, points in enumerate(near):
+        hits.append(_staying(points, [*trees[:i], *trees[i + 1 :]]))
     n_points = np.array([max(len(points), 1) for points in scans])
     n_hits = np.array([len(points) for points in hits])
     share = float(np.mean(n_hits / n_points))
@@ -206,7 +207,10 @@ def find_ego_hits(scans: Sequence[FloatArray], ground_m: float) -> EgoHits | Non
         return None
     low = np.floor(10 * all_hits.min(axis=0)) / 10
     high = np.ceil(10 * all_hits.max(axis=0)) / 10
-    n_in_box = [int(((points >= low) & (points <= high)).all(axis=1).sum()) for points in scans]
+    n_in_box = []
+    for points in scans:
+        is_in_box = ((points >= low) & (points <= high)).all(axis=1)
+        n_in_box.append(is_in_box.sum())
     others = float(np.mean((np.array(n_in_box) - n_hits) / n_points))
     return EgoHits(share, low, high, max(others, 0.0))
 

@@ -86,7 +86,7 @@ def block_means(values: FloatArray, blocks: IntArray) -> FloatArray:
 def paired_difference(
     before: FloatArray,
     after: FloatArray,
-    blocks: IntArray | None = None,
+    blocks: IntArray,
 ) -> Difference:
     """Mean of after - before over the blocks, with the interval of `mean_interval`.
 
@@ -95,11 +95,11 @@ def paired_difference(
     Parameters
     ----------
     before, after : (n,) score of each pair, NaN for null
-    blocks : (n,) block of each pair, from `blocks_of`; by default each pair is a block
+    blocks : (n,) block of each pair, from `blocks_of`
 
     Examples
     --------
-    >>> found = paired_difference(np.zeros(3), np.array([0.4, 0.5, 0.6]))
+    >>> found = paired_difference(np.zeros(3), np.array([0.4, 0.5, 0.6]), np.arange(3))
     >>> found.difference, found.n_blocks
     (0.5, 3)
     """
@@ -107,8 +107,7 @@ def paired_difference(
     n_pairs = int(np.count_nonzero(known))
     if not n_pairs:
         return Difference()
-    blocks = np.arange(n_pairs, dtype=np.int32) if blocks is None else blocks[known]
-    a, b = block_means(np.stack([before[known], after[known]]), blocks)
+    a, b = block_means(np.stack([before[known], after[known]]), blocks[known])
     change = b - a
     mean, std = mean_and_std(change)
     low = high = None
@@ -255,7 +254,8 @@ def _directions(n: int) -> FloatArray:
         normal = rng.normal(size=(DRAWS, n))
         drawn = normal * np.sqrt(n / (normal**2).sum(axis=1, keepdims=True))
     elif n <= MOST_ENUMERATED:  # an opposite has the same T: the first sign stays
-        drawn = 1.0 - 2.0 * ((np.arange(1, 2 ** (n - 1))[:, None] >> np.arange(n)) & 1)
+        bits = np.arange(1, 2 ** (n - 1))[:, None] >> np.arange(n)
+        drawn = 1.0 - 2.0 * (bits & 1)
     else:
         drawn = rng.choice([-1.0, 1.0], size=(DRAWS, n))
     return np.vstack([np.ones(n), drawn])

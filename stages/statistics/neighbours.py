@@ -44,7 +44,8 @@ def map_place(points: FloatArray) -> PlaceMap:
     cells = cells[((cells >= 0) & (cells < _CELLS)).all(axis=1)]
     occupied = np.zeros((_CELLS, _CELLS), dtype=np.float32)
     occupied[cells[:, 0], cells[:, 1]] = 1.0
-    return PlaceMap(scipy.fft.rfft2(occupied, (_PADDED, _PADDED)), int(occupied.sum()))
+    spectrum = scipy.fft.rfft2(occupied, (_PADDED, _PADDED))
+    return PlaceMap(spectrum, int(occupied.sum()))
 
 
 def overlap(a: PlaceMap, b: PlaceMap) -> float:

@@ -12,7 +12,7 @@ from dataclasses import replace
 import pyarrow as pa
 import pytest
 
-from fidpipe.pipeline.results.finished import FinishedRun, pair_values
+from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.status import run_status
 from fidpipe.pipeline.storage.folder import RunFolder
 from fidpipe.pipeline.storage.ledger import INPUT_HASHES, LEDGER
@@ -150,7 +150,7 @@ def read_all(out):
     """Reads every table of a finished run as readers do."""
     finished = FinishedRun(out)
     for row in finished.scored:
-        pair_values(finished, row["pair_id"])
+        finished.pair(row["pair_id"])
     for name in FOLDERS:
         finished.table(name)
 

@@ -77,7 +77,7 @@ def clean(
             continue
         q = _ROS_AXES[frame](*p)
         if T is not None:
-            q = [sum(T[r, c] * q[c] for c in range(3)) + T[r, 3] for r in range(3)]
+            q = [T[r, 0] * q[0] + T[r, 1] * q[1] + T[r, 2] * q[2] + T[r, 3] for r in range(3)]
         if include_box and not all(include_box[a] <= q[a] <= include_box[a + 3] for a in range(3)):
             continue
         if settings["voxel_m"]:

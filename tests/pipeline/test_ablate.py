@@ -125,7 +125,7 @@ def test_a_wrong_value_is_refused_before_any_work(dataset, tmp_path):
         ablated(dataset, tmp_path / "run", values={"k": (0,)})
     with pytest.raises(SettingsError, match="graph.k.*7.5"):
         ablated(dataset, tmp_path / "run", values={"k": (7.5,)})
-    with pytest.raises(SettingsError, match=r"000\.bin"):
+    with pytest.raises(DatasetError, match=r"000\.bin"):
         ablated(dataset / "real" / "000.bin", tmp_path / "run")
     with pytest.raises(DatasetError, match=r"x\*"):
         ablated(dataset, tmp_path / "run", pattern="x*")

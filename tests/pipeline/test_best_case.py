@@ -108,6 +108,14 @@ def test_the_simulated_side_does_not_matter(folder, tmp_path):
     assert_same_tables(tmp_path / "best_case", folder / "best_case")
 
 
+def test_a_pair_without_a_real_scan_fails_alone(tmp_path):
+    data = write_dataset(tmp_path / "streets", 2)
+    (data / "real" / "000.bin").unlink()
+    made = best_case(data, tmp_path / "best_case")
+    assert list(made.failures) == ["000"]
+    assert [row["status"] for row in made.rows] == ["failed", "scored"]
+
+
 def test_t_real_sim_does_not_move_it_and_labels_stay(tmp_path):
     scan = street()
     write_bin(tmp_path / "data" / "a.bin", scan)
@@ -138,7 +146,7 @@ def test_a_finished_best_case_is_not_replaced_by_another_recipe_or_dataset(folde
         best_case(data, out, noise_m=0.1)
     with pytest.raises(RunError, match="graph.k was 90, is 20"):
         best_case(data, out, settings=load(assignments=["graph.k=20"]))
-    with pytest.raises(RunError, match="best case of .*streets"):
+    with pytest.raises(RunError, match="of .*test_a_finished.*, of .*streets.*--replace"):
         best_case(folder / "streets", out)
     with pytest.raises(RunError, match="--out"):
         best_case(folder / "streets", folder / "run")

@@ -25,7 +25,6 @@ from fidpipe.schemas.cause_catalogue import CAUSES, FLAT, PARAMETERS, UNEVEN
 from fidpipe.schemas.results import Unknown
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import load
-from fidpipe.stages.causes.estimates import Amount
 from fidpipe.stages.generate.street_scans import make_pair
 from reports import text_of
 from runs import command
@@ -126,7 +125,7 @@ def test_every_command_shows_the_same_causes(streets, folder, named, tmp_path):
 
     check = check_dataset(streets, load(None, [], preset="reference"))
     assert sorted(numbers(cause.as_dict()) for cause in check.causes) == expected
-    assert sum(bool(pair.amounts) for pair in check.pairs) == 3
+    assert sum(bool(pair.causes) for pair in check.pairs) == 3
 
     command("run", streets, "--out", folder, "--preset", "reference", "--workers", 1, code=0)
     write_report(folder, html=tmp_path / "report.html")
@@ -252,14 +251,10 @@ def test_a_healthy_re_measurement_has_no_cause_and_what_is_unknown_is_shown_with
     for seed in range(N_PAIRS):
         scan = make_pair(seed, 0, SENSORS["hdl64"], 20_000).real.rows[:, :3]
         frames.append(evaluate_pair(scan, healthy(scan, rng), settings).causes)
-    amounts = []
+    pairs = []
     for frame in frames:
-        rows = frame.astype(object).where(frame.notna(), None).to_dict("records")
-        fields = ("amount", "real", "sim", "share", "reason")
-        amounts.append(
-            {row["cause"]: Amount(**{name: row[name] for name in fields}) for row in rows}
-        )
-    values = cause_values(amounts)
+        pairs.append(frame.astype(object).where(frame.notna(), None).to_dict("records"))
+    values = cause_values(pairs)
     assert named_causes(values, np.arange(N_PAIRS)) == []
     unknown = {name: group.reason for group in unknown_causes(values) for name in group.causes}
     assert "intensity scale" in unknown
@@ -271,12 +266,11 @@ def values_of(**amounts):
     n_pairs = max(len(np.atleast_1d(values)) for values in amounts.values())
     pairs = []
     for i in range(n_pairs):
-        pair = {name: Amount(0.0, share=0.0) for name in CAUSES}
+        pair = {name: {"amount": 0.0, "share": 0.0} for name in CAUSES}
         for name, values in amounts.items():
-            pair[name.replace("_", " ")] = Amount(
-                float(np.broadcast_to(values, n_pairs)[i]), share=0.5
-            )
-        pairs.append(pair)
+            amount = float(np.broadcast_to(values, n_pairs)[i])
+            pair[name.replace("_", " ")] = {"amount": amount, "share": 0.5}
+        pairs.append([{"cause": name} | row for name, row in pair.items()])
     return cause_values(pairs), np.arange(n_pairs)
 
 
@@ -312,7 +306,7 @@ def test_nothing_is_said_to_be_without_a_cause_where_many_are_unknown():
 
 
 def test_no_more_causes_are_unknown_than_there_are():
-    nothing = {name: Amount(None, reason="two sweeps") for name in CAUSES}
+    nothing = [{"cause": name, "reason": "two sweeps"} for name in CAUSES]
     unknown = unknown_causes(cause_values([nothing]))
     assert no_cause_words(unknown) == "no cause can be named: 38 of 38 are unknown (two sweeps)"
 

@@ -89,7 +89,7 @@ def test_a_wrong_input_ends_with_one_and_one_line(dataset, tmp_path, words, faul
         ("nosuch", ""),
         ("run --what --workers 1", ""),
         ("run {data} --workers 2 --scheduler tcp://a:1", ""),
-        ("compare {run}", "expected 2 to 8 runs, got 1"),
+        ("compare {run}", "expected two or more runs, got 1"),
         ("compare {run} {run} --fail-on nose", "'nose'"),
         ("diagnose {run} elsewhere", "--tell-apart"),
         ("diagnose {run} --tell-apart --set input.min_range_m=1", "a run has its settings"),

@@ -70,7 +70,7 @@ def low(low_run, tmp_path):
 
 def test_the_flaw_has_nearly_all_of_the_gain(low):
     shown = command("diagnose", low, "--workers", 1, "--json", code=0)
-    diagnosis = Diagnosis.from_dict(json.loads(shown.stdout))
+    diagnosis = Diagnosis.model_validate(json.loads(shown.stdout))
     first = diagnosis.causes[0]
     assert first.name == "height"
     assert first.estimate == pytest.approx(-TOO_LOW_M, abs=0.02)
@@ -92,8 +92,6 @@ def test_a_pair_that_the_ledger_has_lost_is_named(low):
     (low / LEDGER / "1.json").write_text("")
     with pytest.raises(RunError, match=r"1\.json is damaged or gone; run it again"):
         diagnose_run(low, QUIET)
-    with pytest.raises(RunError, match=r"1\.json is damaged or gone"):
-        FinishedRun(low).check_tables("1")
 
 
 def test_an_interrupted_diagnosis_resumes_with_equal_gains(low, low_run, tmp_path, monkeypatch):
@@ -238,22 +236,15 @@ def shorter(monkeypatch):
         monkeypatch.setattr(classifier, name, value)
 
 
-def test_tell_apart_compares_the_run_with_its_best_case(folder):
-    ended = command(
-        "diagnose",
-        folder / "run",
-        "--tell-apart",
-        "--best-case",
-        folder / "best_case",
-        "--json",
-        code=0,
-    )
-    found = json.loads(ended.stdout)["tell_apart"]
+def test_a_run_is_easier_to_tell_apart_than_its_best_case(folder):
+    texts = [
+        command("diagnose", folder / name, "--tell-apart", "--json", code=0).stdout
+        for name in ("run", "best_case")
+    ]
+    found, second = [json.loads(text)["tell_apart"] for text in texts]
     assert found["low"] <= found["auc"] <= found["high"]
-    assert found["real_against_real"]["of"] == "second measurements of the best case"
-    assert (
-        found["auc"] > found["real_against_real"]["auc"]
-    )  # the simulated side is drifted and thinned
+    assert found["real_against_real"]["of"] == "even and odd frames"
+    assert found["auc"] > second["auc"]  # the simulated side is drifted and thinned
     assert {one["name"] for one in found["families"]} == {"surface"}  # random points have no beams
 
 

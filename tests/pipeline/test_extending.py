@@ -157,7 +157,13 @@ def test_the_baseline_is_computed_swept_and_timed(again, dataset, tmp_path):
     assert {"box_overlap", "box_overlap, whole scan"} <= set(timings.step)
     words = ("--sweep", "dropout=0.4", "--repeats", 1, "--global-repeats", 0, "--workers", 1)
     package.fidpipe(
-        "perturb", dataset, "--out", tmp_path / "perturb", "--metrics", "box_overlap", *words
+        "perturb",
+        dataset,
+        "--out",
+        tmp_path / "perturb",
+        "--set",
+        "metrics.baselines=box_overlap",
+        *words,
     )
     assert (
         pd.read_parquet(tmp_path / "perturb" / "perturb_baselines.parquet")
@@ -266,9 +272,9 @@ def test_a_new_format_is_checked_and_gives_the_numbers_of_a_known_one(tmp_path):
     for name, dataset in streets.items():
         package.fidpipe("run", dataset, "--out", tmp_path / f"run-{name}", "--workers", 1)
     for table in ("objects/a.real", "objects/a.sim", "metrics/a"):
-        new, known = (
+        new, known = [
             pq.read_table(tmp_path / f"run-{name}" / f"{table}.parquet") for name in streets
-        )
+        ]
         assert new.num_rows
         assert new.equals(known)
     (streets["xyz"] / "sim" / "a.xyz").write_text("1 2\n3 4\n")

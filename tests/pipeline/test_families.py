@@ -121,13 +121,6 @@ def test_preset_paper_compares_the_match_rate():
     assert reference - paper == {"objects found"}
 
 
-def test_a_change_that_seeds_alone_make_is_undecided():
-    pairs = scored([(PERFECT, PERFECT | {"cdc_mean": 0.32 + 0.001 * i}) for i in range(10)])
-    for noise, verdict in ((0.01, "worse"), (0.1, "undecided")):
-        families = judge_families("reference", pairs, seed_noise={"cdc_mean": noise})
-        assert verdict_of(families) == verdict
-
-
 def changed_in(n_changed, n_frames=10):
     """The decision on frames of one place if the coverage of some of its eight sectors falls."""
     rng = np.random.default_rng(1)

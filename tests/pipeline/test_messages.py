@@ -28,7 +28,6 @@ from fidpipe.schemas.errors import (
 from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.schemas.settings import Settings, load
 from fidpipe.stages.generate.ray_casting import fire
-from fidpipe.stages.ground import remove_road
 from runs import FIDPIPE, command, one_line, read_only, run
 from scenes import street, write_bin, write_dataset, write_pair
 
@@ -71,8 +70,9 @@ SENTENCES = {
         "ftp://: expected a URL of s3, gs, az, http, https, or a local path",
     ),
     StageError: (
-        lambda folder: remove_road(np.zeros((1, 3)), Settings(), "real"),
-        "expected at least 8 points after cleaning, got 0 (1 zero); check that the export is complete",
+        lambda folder: fidpipe.evaluate_pair(np.zeros((1, 3)), street()),
+        "stage ground, real: expected at least 8 points after cleaning, got 0 (1 zero); "
+        "check that the export is complete",
     ),
     OutOfTimeError: (
         use_up_the_time,

@@ -5,7 +5,6 @@ import pandas as pd
 import pytest
 
 from fidpipe.pipeline.results.overview import object_groups
-from fidpipe.stages.statistics.bands import BAND_EDGES_M
 
 FATES = {"real": "not_found", "sim": "extra"}
 
@@ -19,7 +18,6 @@ def both_sides(real, sim):
         frames.append(frame.assign(side=side, cdc=cdc, r_lambda=r_lambda))
     objects = pd.concat(frames).astype({"range_m": float, "is_matched": bool})
     objects["fate"] = objects["side"].map(FATES).mask(objects["is_matched"], "matched")
-    objects["band"] = np.digitize(objects["range_m"], BAND_EDGES_M) - 1
     return objects.assign(n_points=10, covered_0p3m=0.6, r_gap=0.0)
 
 
@@ -47,7 +45,8 @@ def test_unmatched_objects_are_counted_by_range_of_their_own_side(by_hand):
 
 def test_a_class_is_that_of_the_real_object_and_nulls_are_left_out(by_hand):
     classes = groups_by(by_hand, "class")
-    car, tree = classes["car"], classes["tree"]
+    car = classes["car"]
+    tree = classes["tree"]
     assert (car.n_real, car.n_not_found) == (2, 0)
     assert (car.scores["cdc"], car.scores["r_lambda"]) == (0.2, 0.2)
     assert (tree.n_real, tree.n_not_found, tree.n_sim, tree.n_extra) == (2, 1, 2, 1)

@@ -131,9 +131,10 @@ def test_a_run_ends_with_surface_pieces_causes_places_scores_trust_and_the_next_
         "Trust",
         "Next",
     ]
-    assert [line[14:] for line in lines[-2:]] == [
+    assert [line[14:] for line in lines[-3:]] == [
         f"fidpipe diagnose {folder}",
         f"fidpipe report {folder} --open",
+        f"fidpipe best-case {folder}",
     ]
     assert len(lines) <= 24
     text = "\n".join(lines)

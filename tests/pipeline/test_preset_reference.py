@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from fidpipe.pipeline.results.compare import compare_runs
-from fidpipe.pipeline.results.finished import FinishedRun, pair_values
+from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.results.gate import judge_run, parse_word
 from fidpipe.schemas.errors import SettingsError
 from fidpipe.schemas.settings import load, overrides, parse, preset_of
@@ -168,7 +168,7 @@ def test_missing_and_invented_objects_are_told_alike_everywhere(by_reference):
     assert (matching.sim_id[matching.status == "extra"] >= len(objects["real"])).all()
     empty = objects["sim"].n_points == 0
     assert objects["sim"].loc[empty, ["cx", "range_m", "linearity"]].isna().all(axis=None)
-    found = pair_values(FinishedRun(by_reference), "0")["objects"]
+    found = FinishedRun(by_reference).pair("0")["objects"]
     assert len([of for of in found if of["real"] is None]) == row["n_extra"]
     findings = json.loads((by_reference / "run.json").read_text())["findings"]
     n_extra = sum(of["n_extra"] for of in findings["groups"] if of["by"] == "range")

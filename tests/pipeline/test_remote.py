@@ -34,7 +34,7 @@ from fidpipe.pipeline.storage.object_store import (
 from fidpipe.pipeline.storage.remote_run import LOCK, RemoteRun
 from fidpipe.pipeline.storage.table_files import TOKEN, JobRecord, StoredFile
 from fidpipe.pipeline.storage.urls import cache_of, url_of_cache
-from fidpipe.schemas.errors import DatasetError, RunError, StoreError
+from fidpipe.schemas.errors import RunError, StoreError
 from runs import FIDPIPE, assert_same_tables, command, one_line, run, some_of
 from scenes import write_dataset
 
@@ -545,7 +545,7 @@ def test_a_stub_outside_of_the_cache_is_no_scan(bucket, local, tmp_path):
 
 
 def test_what_is_not_there_is_said_in_one_line(bucket):
-    with pytest.raises(DatasetError, match="nothing"):
+    with pytest.raises(StoreError, match="nothing"):
         local_folder(f"{bucket}/nothing")
     with pytest.raises(StoreError, match=r"nothing/x\.bin"):
         read_object(f"{bucket}/nothing/x.bin")

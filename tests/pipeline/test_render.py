@@ -62,7 +62,7 @@ def test_a_page_has_every_column_and_no_name_as_markup():
 
 def test_answers_stand_by_their_headings():
     answers = [
-        Answers([("Next", [("go", "", "")]), ("Fix first", [("1  a", "b", "c"), ("2  d", "", "")])])
+        Answers({"Next": [("go", "", "")], "Fix first": [("1  a", "b", "c"), ("2  d", "", "")]})
     ]
     assert text_of(answers).splitlines()[0] == "Next          go"
 

@@ -242,12 +242,12 @@ def test_a_run_without_a_scored_pair_is_refused(tmp_path):
         (tmp_path / "dataset" / side).mkdir(parents=True)
         (tmp_path / "dataset" / side / "a.bin").write_bytes(b"")
     run(tmp_path / "dataset", tmp_path / "run")
-    with pytest.raises(RunError, match="none of its 1 pairs is scored"):
+    with pytest.raises(RunError, match="no pair is scored; fidpipe status"):
         read_results(tmp_path / "run")
 
 
 def test_a_damaged_table_of_points_is_refused_before_anything_is_written(copied_run):
-    sorted((copied_run / "graph").iterdir())[0].unlink()
+    sorted((copied_run / "ground").iterdir())[0].unlink()
     with pytest.raises(RunError, match="damaged or gone"):
         write_report(copied_run)
     assert not (copied_run / "report.html").exists()

@@ -8,7 +8,7 @@ import pytest
 from fidpipe.pipeline.report.figures.plots import plot_object
 from fidpipe.pipeline.report.view import Table
 from fidpipe.pipeline.report.views.show_view import object_view, pair_view
-from fidpipe.pipeline.results.finished import FinishedRun, pair_object, pair_values
+from fidpipe.pipeline.results.finished import FinishedRun
 from fidpipe.pipeline.storage.run_record import read_run
 from fidpipe.schemas.errors import RunError
 from reports import HOSTILE_PAIRS, text_of
@@ -50,7 +50,7 @@ def test_the_terminal_shows_any_name_as_it_is(report_run, name):
 
 def test_every_object_of_either_side_stands_in_its_pair_once(report_run):
     run_ = FinishedRun(report_run)
-    found = pair_values(run_, FIRST)["objects"]
+    found = run_.pair(FIRST)["objects"]
     objects = pd.read_parquet(report_run / "objects").query("pair_id == @FIRST")
     for side in ("real", "sim"):
         ids = sorted(of[side]["community_id"] for of in found if of[side])
@@ -59,10 +59,10 @@ def test_every_object_of_either_side_stands_in_its_pair_once(report_run):
 
 def test_an_object_is_named_by_its_side_and_number(report_run):
     run_ = FinishedRun(report_run)
-    real = pair_object(run_, FIRST, "0")
+    real = run_.object(FIRST, "0")
     partner = real["sim"]["community_id"]
-    assert pair_object(run_, FIRST, f"sim:{partner}") == real == pair_object(run_, FIRST, "real:0")
-    objects = pair_values(run_, FIRST)["objects"]
+    assert run_.object(FIRST, f"sim:{partner}") == real == run_.object(FIRST, "real:0")
+    objects = run_.pair(FIRST)["objects"]
     alone = next(of for of in objects if of["real"] and of["real"]["fate"] == "not_found")
     assert alone["real"]["cdc"] is None
     assert ": not found" in " ".join(text_of(object_view(alone)).split())
@@ -73,7 +73,7 @@ def test_an_object_is_named_by_its_side_and_number(report_run):
 @pytest.mark.parametrize("name", ["99", "sim:99", "nose:1", "sim", "-1", "٣", ""])
 def test_an_object_that_is_not_there_is_named_with_what_is(report_run, name):
     with pytest.raises(RunError, match="no object"):
-        pair_object(FinishedRun(report_run), FIRST, name)
+        FinishedRun(report_run).object(FIRST, name)
 
 
 def test_a_pair_and_its_objects_have_their_coverage(report_run):
@@ -97,13 +97,13 @@ def test_a_pair_and_its_objects_have_their_coverage(report_run):
 def test_a_missing_reference_object_shows_what_little_of_it_is_simulated(by_reference):
     run_ = FinishedRun(by_reference)
     matching = pd.read_parquet(by_reference / "matching").query("pair_id == '0'")
-    found = pair_values(run_, "0")["objects"]
+    found = run_.pair("0")["objects"]
     real = [of["real"] for of in found if of["real"]]
     assert sorted(row["community_id"] for row in real) == sorted(matching.real_id.dropna())
     missing = [of for of in found if of["real"] and of["real"]["fate"] == "not_found"]
-    (pole,) = (of for of in missing if of["sim"]["n_points"])
+    (pole,) = [of for of in missing if of["sim"]["n_points"]]
     assert pole["sim"]["n_points"] == 3
-    assert pair_object(run_, "0", f"sim:{pole['sim']['community_id']}") == pole
+    assert run_.object("0", f"sim:{pole['sim']['community_id']}") == pole
     text = shown(by_reference, "0", pole["real"]["community_id"])
     assert "3 of its points are simulated, too few to match it" in text
     assert "54 % of its points" in text
@@ -115,7 +115,7 @@ def test_a_missing_reference_object_shows_what_little_of_it_is_simulated(by_refe
 
 
 def test_a_pair_lists_the_ten_largest_objects_of_one_side_and_with_all_every_one(report_run):
-    values = pair_values(FinishedRun(report_run), FIRST)
+    values = FinishedRun(report_run).pair(FIRST)
     alone = next(of["sim"] for of in values["objects"] if of["real"] is None)
     values["objects"] = []
     for i in range(77):

@@ -71,20 +71,16 @@ def test_two_healthy_sides_raise_no_warning(tmp_path):
     assert (found.warnings, found.faults, found.notes) == ([], [], [])
 
 
-def test_a_late_side_is_named_with_frames_and_seconds(tmp_path):
-    (warning,) = (
-        text
-        for text in warnings(write(tmp_path, drive(2), drive(0, seed=20)))
-        if "frames late" in text
-    )
-    assert warning.startswith("simulated scans ") and "0.2 s" in warning and "--offset" in warning
+def test_a_late_side_is_named_with_frames(tmp_path):
+    texts = warnings(write(tmp_path, drive(2), drive(0, seed=20)))
+    (warning,) = [text for text in texts if "frames late" in text]
+    assert warning.startswith("simulated scans seem 2 frames late: ") and "--offset" in warning
 
 
 def test_a_side_that_is_one_scan_is_named(tmp_path):
     still = [scan(3, seed, 0.03) for seed in range(6)]
-    (warning,) = (
-        text for text in warnings(write(tmp_path, drive(), still)) if not text.startswith("pair ")
-    )
+    texts = warnings(write(tmp_path, drive(), still))
+    (warning,) = [text for text in texts if not text.startswith("pair ")]
     assert warning.startswith("all simulated scans ")
 
 
@@ -105,7 +101,7 @@ def test_ego_hits_are_named_with_settings_that_drop_them(tmp_path, frame, turn):
     own = [np.vstack([points, bonnet]) for points in drive()]
     folder = write(tmp_path, own, own, turn=turn)
     words = [f"input.{side}_frame={frame}" for side in ("real", "sim")]
-    real, sim = (text for text in warnings(folder, *words) if "ego vehicle" in text)
+    real, sim = [text for text in warnings(folder, *words) if "ego vehicle" in text]
     assert real.startswith("real scans: 3.9%") and sim.startswith("simulated scans: 3.9%")
     for setting in re.findall(r"input\.(?:exclude_box|min_range_m)=\S+", real):
         assert not [text for text in warnings(folder, *words, setting) if "ego vehicle" in text]

@@ -211,7 +211,11 @@ def healthy(places):
 
 
 def values_of(estimates):
-    return cause_values([of_pair.amounts for of_pair in estimates])
+    return cause_values([rows_of(of_pair) for of_pair in estimates])
+
+
+def rows_of(estimates):
+    return [{"cause": name} | vars(amount) for name, amount in estimates.amounts.items()]
 
 
 def test_no_cause_of_a_second_measurement(healthy):
@@ -271,7 +275,7 @@ def test_a_flaw_without_a_cause_is_unexplained(places, name):
     own = estimate(pair)
     named = {
         cause.name: cause.estimate
-        for cause in named_causes(cause_values([own.amounts]), np.arange(1))
+        for cause in named_causes(cause_values([rows_of(own)]), np.arange(1))
     }
     rng = np.random.default_rng(0)
     amounts = {cause: estimated.amount for cause, estimated in own.amounts.items()}

@@ -338,7 +338,10 @@ def test_another_size_is_another_frame_also_if_the_ground_is_lifted():
 def test_thinned_scans_of_one_place_are_never_called_scans_of_two(n_points):
     for seed in range(10):
         rng = np.random.default_rng(seed)
-        real, sim = (scene(seed), again(scene(seed)))
-        real, sim = (rng.choice(points, n_points, replace=False) for points in (real, sim))
-        result = check(real, sim)
+        real = scene(seed)
+        sim = again(real)
+        result = check(
+            rng.choice(real, n_points, replace=False),
+            rng.choice(sim, n_points, replace=False),
+        )
         assert result is None or result.doubt is None

@@ -3,9 +3,10 @@ import os
 import numpy as np
 import pytest
 
+from fidpipe import evaluate_pair
 from fidpipe.schemas.errors import StageError
-from fidpipe.schemas.settings import GroundSettings, Settings
-from fidpipe.stages.ground import remove_ground, remove_road
+from fidpipe.schemas.settings import GroundSettings
+from fidpipe.stages.ground import remove_ground
 from scenes import box, road, street
 
 
@@ -28,7 +29,7 @@ def test_the_road_goes_and_the_car_stays():
 
 def test_fewer_than_eight_points_are_refused():
     with pytest.raises(StageError, match="got 7"):
-        remove_road(road(7), Settings(), "real")
+        evaluate_pair(road(7), road(900))
 
 
 def test_the_threshold_is_lowered_until_the_loss_is_allowed_and_ends_at_the_peak():

@@ -118,20 +118,22 @@ def test_the_interval_of_a_mean_is_that_of_student():
 
 
 def test_differences_are_means_over_the_pairs_that_have_both_values():
-    found = paired_difference(np.array([1.0, np.nan, 3.0]), np.array([1.5, 2.0, np.nan]))
+    found = paired_difference(
+        np.array([1.0, np.nan, 3.0]), np.array([1.5, 2.0, np.nan]), np.arange(3)
+    )
     assert (found.n_pairs, found.difference, found.low) == (1, 0.5, None)
-    nothing = paired_difference(np.array([np.nan]), np.array([1.0]))
+    nothing = paired_difference(np.array([np.nan]), np.array([1.0]), np.arange(1))
     assert (nothing.n_pairs, nothing.difference) == (0, None)
 
 
 def test_rounding_is_no_difference():
-    same = paired_difference(np.array([0.1, 0.7]), np.array([0.1 + 6e-15, 0.7]))
+    same = paired_difference(np.array([0.1, 0.7]), np.array([0.1 + 6e-15, 0.7]), np.arange(2))
     assert (same.low, same.high) == (0.0, 0.0)
 
 
 def test_copies_of_a_scan_count_once(rng):
     before, after = rng.normal(0, 1, 6), rng.normal(3, 1, 6)
-    once = paired_difference(before, after)
+    once = paired_difference(before, after, np.arange(len(before)))
     blocks = blocks_of(np.repeat([*"abcdef"], 8).tolist(), [None] * 48)
     copied = paired_difference(np.repeat(before, 8), np.repeat(after, 8), blocks)
     assert (copied.n_pairs, copied.n_blocks) == (48, 6)

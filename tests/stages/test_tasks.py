@@ -66,7 +66,8 @@ def test_what_is_high_above_the_road_is_no_obstacle():
 
 
 def test_the_distance_that_links_points_grows_with_range():
-    near, far = ((5, 0), (0.2, 0.2)), ((40, 0), (0.2, 0.2))
+    near = ((5, 0), (0.2, 0.2))
+    far = ((40, 0), (0.2, 0.2))
     apart = [((5, 0.7), (0.2, 0.2)), ((40, 0.7), (0.2, 0.2))]
     settings = TaskSettings(names="all", min_points=1)
     obstacles = find_obstacles(scene(near, far, *apart), settings)
@@ -84,8 +85,9 @@ def test_lost_added_resized_and_displaced_obstacles_are_counted():
     assert found["size_m"] == pytest.approx((0 + 1) / 2)
     assert found["place_m"] == pytest.approx((0.5 + 0) / 2)
     assert task.real.partner.tolist() == [-1, 0, 2]
-    common, union = (4.2 - 0.4) * (2.2 - 0.3), 2 * 4.2 * 2.2
-    assert task.real.iou[1] == pytest.approx(common / (union - common))
+    common = (4.2 - 0.4) * (2.2 - 0.3)
+    both = 2 * 4.2 * 2.2
+    assert task.real.iou[1] == pytest.approx(common / (both - common))
     assert gaps(task, "smaller than 1.5 m") == {"lost": 1.0, "added": 1.0}
     assert gaps(task, "1.5 to 6 m") == {"lost": 0.0, "added": 0.0}
     assert gaps(task, "15 to 30 m") == {"lost": 0.0, "added": 0.0}

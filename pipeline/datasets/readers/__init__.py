@@ -14,16 +14,6 @@ from .formats import known_formats
 from .scan import Scan, cause_of, with_label_file, with_label_names
 from .scan_ref import ScanRef, scan_ref
 
-#: What `pip install 'fidpipe[...]'` brings the libraries that are not everywhere.
-_EXTRAS = {
-    "rosbags": "ros",
-    "mcap": "ros",
-    "mcap_protobuf": "ros",
-    "velodyne_decoder": "velodyne",
-    "dpkt": "velodyne",
-    "laspy": "las",
-}
-
 
 def frames_of(source: ScanRef | Path | str) -> list[ScanRef]:
     """The frames of a recording, in order of time.
@@ -39,8 +29,7 @@ def frames_of(source: ScanRef | Path | str) -> list[ScanRef]:
             f"{source}: expected a bag or a capture of packets: files of this format hold no frames",
         )
     with _reader(recording) as reader:
-        frames: list[ScanRef] = reader.frames(recording)
-    return frames
+        return reader.frames(recording)
 
 
 def read_scan(
@@ -105,27 +94,17 @@ def _reader(ref: ScanRef) -> Iterator[Any]:
     """The module that reads a scan; any of its errors becomes a `ScanError`: a broken file may raise any."""
     try:
         yield importlib.import_module(ref.format.module, __name__)
-    except ModuleNotFoundError as error:
-        extra = _EXTRAS.get((error.name or "").partition(".")[0])
-        if extra is None:
-            raise
-        raise ScanError(
-            f"{ref}: reading it needs {error.name}; install it with: pip install 'fidpipe[{extra}]'"
-        ) from error
     except FidpipeError:
         raise
     except BaseException as error:
-        is_panic = (
-            type(error).__name__ == "PanicException"
-        )  # of a library in Rust; pyo3 makes it no Exception
-        if not (isinstance(error, Exception) or is_panic):
+        # what a library in Rust raises is no Exception
+        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
             raise
-        if (
-            isinstance(error, OSError) and error.errno is not None
-        ):  # of the file itself, not of a library
-            raise ScanError(f"{ref}: cannot be read ({error.strerror})") from error
-        content = ref.format.content
-        what = f"not {content}" if content else "cannot be read"
-        raise ScanError(
-            f"{ref}: {what} ({cause_of(error)}); is it truncated or of another format? export it again"
-        ) from error
+        reason = f"damaged or of another format ({cause_of(error)}); export it again"
+        if isinstance(error, OSError) and error.strerror:  # of the file itself, not of a library
+            reason = f"cannot be read ({error.strerror})"
+        elif isinstance(error, ModuleNotFoundError):
+            reason = f"reading it needs {error.name}"
+            if ref.format.extra:
+                reason += f"; install it with: pip install 'fidpipe[{ref.format.extra}]'"
+        raise ScanError(f"{ref}: {reason}") from error

@@ -6,8 +6,6 @@ from pathlib import Path
 
 from .scan import KNOWN_COLUMNS, Scan, check_names, scan_from_columns
 
-_MOST_METADATA = 2**20  # names and lists in the footer of a Parquet file
-
 
 def read(path: Path) -> Scan:
     """The scan in a file of named columns; null becomes NaN. Other columns than those of a scan are not read.
@@ -19,13 +17,7 @@ def read(path: Path) -> Scan:
     """
     from pyarrow import dataset
 
-    format_: dataset.FileFormat = dataset.IpcFileFormat()
-    if path.suffix.lower() == ".parquet":
-        limits = dataset.ParquetFragmentScanOptions(
-            thrift_string_size_limit=_MOST_METADATA, thrift_container_size_limit=_MOST_METADATA
-        )
-        format_ = dataset.ParquetFileFormat(default_fragment_scan_options=limits)
-    file = dataset.dataset(path, format=format_)
+    file = dataset.dataset(path, format=path.suffix[1:].lower())
     check_names(path, file.schema.names)
     known = [name for name in file.schema.names if name.lower() in KNOWN_COLUMNS]
     table = file.to_table(known, use_threads=False)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import csv
-from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
 from ....schemas.errors import ScanError
-from .scan import Scan, cause_of, check_names, scan_from_columns
+from .scan import Scan, cause_of, check_names, is_number, scan_from_columns
 
 _LONGEST_HEADER_BYTES = 2**20
 _MOST_COLUMNS = 1000  # a column costs pandas a thousand bytes, regardless of its content
@@ -38,13 +37,13 @@ def read(path: Path, columns: tuple[str, ...] = ()) -> Scan:
     remedy = (
         f"name its {n_columns} columns in input.columns, input.real_columns or input.sim_columns"
     )
-    has_header = not all(_is_number(name) for name in names)
+    has_header = not all(is_number(name) for name in names)
     if columns and len(columns) == n_columns:
         names = list(columns)
     elif not has_header:
-        got = cause_of(",".join(names))
         raise ScanError(
-            f"{path}: expected a header such as x,y,z,intensity, got {got}; write one, or {remedy}",
+            f"{path}: expected a header such as x,y,z,intensity, got {cause_of(','.join(names))}; "
+            f"write one, or {remedy}",
         )
     if has_header and n_columns == 1:
         raise ScanError(
@@ -73,10 +72,3 @@ def _cells(file: BinaryIO) -> list[str]:
     """Cells of the next line; openpylivox begins its header with //."""
     line = file.readline(_LONGEST_HEADER_BYTES).decode("utf-8-sig", errors="replace")
     return [cell.strip() for cell in next(csv.reader([line.lstrip("/# ")]), [])]
-
-
-def _is_number(text: str) -> bool:
-    with suppress(ValueError):
-        float(text)
-        return True
-    return False

@@ -24,7 +24,7 @@ class Format(NamedTuple):
         columns)` then takes these, or those of the setting `input.columns`, and `check_width(path,
         columns)` rejects a file that the usual ones do not fit; () if the shape or a header
         determines them
-    content : what a file should be, for the error of one that is damaged
+    extra : of fidpipe, that brings the library of the reader; "" if it is always there
     holds_frames : whether a file is a recording; `read` then takes a `ScanRef`, and `frames` lists
         those of all frames
     may_crash : whether a damaged file may end the process that reads it, or fill the memory:
@@ -34,26 +34,26 @@ class Format(NamedTuple):
 
     module: str
     columns: tuple[str, ...] | None = None
-    content: str = ""
+    extra: str = ""
     holds_frames: bool = False
     may_crash: bool = False
 
 
-_BAG = Format(".rosbag", content="a whole recording", holds_frames=True, may_crash=True)
-_CAPTURE = Format(".velodyne", content="a whole capture of Velodyne packets", holds_frames=True)
+_BAG = Format(".rosbag", extra="ros", holds_frames=True, may_crash=True)
+_CAPTURE = Format(".velodyne", extra="velodyne", holds_frames=True)
 
 #: A longer suffix is tried before a shorter one that it ends with. One that begins with / is a file in a folder.
 FORMATS = {
     ".pcd.bin": Format(".float32", _NUSCENES),
     ".bin": Format(".float32", _KITTI),
-    ".npy": Format(".npy", (), "a whole .npy array"),
-    ".pcd": Format(".pcd", content="a whole PCD file"),
-    ".ply": Format(".ply", content="a whole PLY file with vertices"),
-    ".csv": Format(".csv", (), "a CSV table"),
-    ".feather": Format(".arrow", content="a whole Feather file", may_crash=True),
-    ".parquet": Format(".arrow", content="a whole Parquet file", may_crash=True),
-    ".las": Format(".las", content="a whole LAS file"),
-    ".laz": Format(".las", content="a whole LAS file", may_crash=True),
+    ".npy": Format(".npy", ()),
+    ".pcd": Format(".pcd"),
+    ".ply": Format(".ply"),
+    ".csv": Format(".csv", ()),
+    ".feather": Format(".arrow", may_crash=True),
+    ".parquet": Format(".arrow", may_crash=True),
+    ".las": Format(".las", extra="las"),
+    ".laz": Format(".las", extra="las", may_crash=True),
     ".bag": _BAG,
     ".db3": _BAG,
     ".mcap": _BAG,

@@ -14,6 +14,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from ....schemas.errors import ScanError
+from ...storage.files import file_marks
 from . import foxglove
 from .scan import Scan, packed_columns, scan_from_columns
 from .scan_ref import ScanRef, frame_number
@@ -38,7 +39,7 @@ def read(frame: ScanRef) -> Scan:
         The bag is damaged, or has no such topic or frame, or several.
     """
     file = frame.file
-    with _opened(file) as bag:
+    with _opened(frame) as bag:
         connection, content = _message(bag, replace(frame, topic=_topic(bag, frame)))
         if connection.msgtype == foxglove.CLOUD:
             return scan_from_columns(file, foxglove.cloud_of(file, connection, content))
@@ -67,21 +68,20 @@ def frames(recording: ScanRef) -> list[ScanRef]:
     ScanError
         The bag is damaged, or has no such topic, or several.
     """
-    with _opened(recording.file) as bag:
-        topic = _topic(bag, recording)
-    named = replace(recording, topic=topic)
-    return [named.at(time_ns) for time_ns in _times_ns(named.file, _marks(named.file), topic)]
+    with _opened(recording) as bag:
+        named = replace(recording, topic=_topic(bag, recording))
+    return [named.at(time_ns) for time_ns in _times_of(named)]
 
 
 def _message(bag: Any, frame: ScanRef) -> tuple[Any, bytes]:
     """Connection and content of the message of a frame; the whole bag is read only if its time is not unique."""
-    connections = [connection for connection in bag.connections if connection.topic == frame.topic]
+    connections = _connections(bag, frame)
     time_ns = frame.time_ns
     messages = []
     if time_ns is not None:
         messages = list(bag.messages(connections, time_ns, time_ns + 1))
     if len(messages) != 1:
-        times_ns = _times_ns(frame.file, _marks(frame.file), frame.topic or "")
+        times_ns = _times_of(frame)
         number = frame_number(frame, times_ns)
         time_ns = times_ns[number]
         messages = list(bag.messages(connections, time_ns, time_ns + 1))
@@ -90,13 +90,14 @@ def _message(bag: Any, frame: ScanRef) -> tuple[Any, bytes]:
     return connection, content
 
 
-def _opened(file: Path) -> Any:
+def _opened(recording: ScanRef) -> Any:
     """The bag's reader, a context."""
     from rosbags.rosbag1 import Reader as Ros1Reader
     from rosbags.rosbag2 import Reader as Ros2Reader
 
+    file = recording.file
     reader = Ros1Reader if _is_ros1(file) else Ros2Reader
-    for path in file.iterdir() if file.is_dir() else [file]:
+    for path in recording.files:
         name = str(path.absolute())
         if name.endswith(".db3") and not {*"%?#"}.isdisjoint(name):
             raise ScanError(
@@ -129,9 +130,11 @@ def _topic(bag: Any, scan: ScanRef) -> str:
     if len(candidates) == 1:
         return candidates[0]
     if candidates:
-        example = f"{scan.file.name}#{min(candidates)}@{scan.frame or 0}"
         listed = ", ".join(sorted(candidates))
-        raise ScanError(f"{scan.file}: point clouds on {listed}; name one topic, such as {example}")
+        raise ScanError(
+            f"{scan.file}: point clouds on {listed}; name one topic, such as "
+            f"{scan.file.name}#{min(candidates)}@{scan.frame or 0}"
+        )
     listed = ", ".join(sorted(f"{topic} ({kind})" for topic, kind in types.items()))
     raise ScanError(
         f"{scan.file}: expected {scan.topic or 'a topic'} of {_CLOUD}, {foxglove.CLOUD} or "
@@ -139,23 +142,26 @@ def _topic(bag: Any, scan: ScanRef) -> str:
     )
 
 
-def _marks(file: Path) -> tuple[tuple[int, int], ...]:
-    """Lengths and times of the bag's files: while they stay, so do its frames."""
-    files = sorted(file.iterdir()) if file.is_dir() else [file]
-    return tuple((status.st_size, status.st_mtime_ns) for status in map(Path.stat, files))
+def _times_of(recording: ScanRef) -> list[int]:
+    """When each frame of the topic was recorded, in order."""
+    return _times_ns(replace(recording, frame=None), tuple(map(file_marks, recording.files)))
 
 
 @lru_cache(maxsize=16)
-def _times_ns(file: Path, marks: tuple[tuple[int, int], ...], topic: str) -> list[int]:
-    """When each frame of a topic was recorded, in order; reads the bag once."""
-    with _opened(file) as bag:
-        connections = [connection for connection in bag.connections if connection.topic == topic]
-        times_ns = [time_ns for _, time_ns, _ in bag.messages(connections)]
-        if not all(isinstance(time_ns, int) and time_ns >= 0 for time_ns in times_ns):
-            raise ScanError(
-                f"{file}: expected a time in nanoseconds for each frame; a frame has none",
-            )
-        return times_ns
+def _times_ns(recording: ScanRef, marks: tuple[str, ...]) -> list[int]:
+    """See `_times_of`; reads the bag once while the marks of its files stay."""
+    with _opened(recording) as bag:
+        times_ns = [time_ns for _, time_ns, _ in bag.messages(_connections(bag, recording))]
+    if not all(isinstance(time_ns, int) and time_ns >= 0 for time_ns in times_ns):
+        raise ScanError(
+            f"{recording.file}: expected a time in nanoseconds for each frame; a frame has none",
+        )
+    return times_ns
+
+
+def _connections(bag: Any, scan: ScanRef) -> list[Any]:
+    """The connections of a topic."""
+    return [connection for connection in bag.connections if connection.topic == scan.topic]
 
 
 @cache

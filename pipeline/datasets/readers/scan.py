@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Set
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -53,7 +53,7 @@ for _format, _labels in read_data("class_names").items():
     CLASSES[_format] = {int(number): label for number, label in _labels.items()}
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class Scan:
     """One scan as stored in its file.
 
@@ -76,14 +76,11 @@ class Scan:
     label_names: Mapping[int, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
-    def __repr__(self) -> str:
-        optional = ("intensity", "labels", "instances", "rings", "times_s")
-        others = "".join(f", {name}" for name in optional if getattr(self, name) is not None)
-        return f"<scan of {len(self.points)} points{others}>"
-
 
 def scan_from_columns(
-    path: Path, columns: Mapping[str, NDArray[Any]], label_names: Mapping[int, str] | None = None
+    path: Path,
+    columns: Mapping[str, NDArray[Any]],
+    label_names: Mapping[int, str] | None = None,
 ) -> Scan:
     """A scan from named columns: the last step of every reader.
 
@@ -111,10 +108,11 @@ def scan_from_columns(
     by_name = {name: in_lower_case[alias] for name, alias in source.items()}
     numbers: dict[str, FloatArray] = {}
     for name, column in by_name.items():
-        if column.ndim != 1:
+        is_label = name == "label"
+        if column.ndim != 1 or (not is_label and column.dtype.kind in _NO_NUMBERS):
             kind = f"{column.dtype} values of shape {column.shape}"
             raise ScanError(f"{path}: column {name}: expected one real number per row, got {kind}")
-        if name != "label":
+        if not is_label:
             numbers[name] = _numbers(path, name, column)
     lengths = {len(column) for column in by_name.values()}
     if len(lengths) > 1:
@@ -137,7 +135,7 @@ def scan_from_columns(
         rings=rings,
         times_s=times_s,
         label_names=label_names or {},
-        notes=_notes(in_lower_case.keys(), "intensity" in numbers, rings),
+        notes=_notes(source.get("ring"), rings),
     )
 
 
@@ -235,49 +233,41 @@ def _are_rings(points: FloatArray, numbers: IntArray) -> bool:
     return bool(spreads_deg) and float(np.median(spreads_deg)) <= _MAX_RING_SPREAD_DEG
 
 
-def _notes(names: Set[str], has_intensity: bool, rings: IntArray | None) -> tuple[str, ...]:
+def _notes(ring_column: str | None, rings: IntArray | None) -> tuple[str, ...]:
     """Notes of a scan, see `Scan`."""
-    notes = []
-    if "laser_number" in names and rings is not None and rings.max(initial=-1) >= _ARGOVERSE_BEAMS:
-        notes.append(
-            f"laser numbers up to {rings.max()}: two fused sensors of {_ARGOVERSE_BEAMS} beams "
-            "(Argoverse, VLP-32C), in the vehicle's frame; for beams and rays, write numbers "
-            f"below {_ARGOVERSE_BEAMS} alone, in their frame"
-        )
-    colours = sorted(names & {"rgb", "rgba", "red"})
-    if colours and not has_intensity:
-        notes.append(
-            f"no intensity, but colours ({colours[0]}): if their red is the intensity (OpenCOOD), "
-            "write it as a column intensity"
-        )
-    return tuple(notes)
+    if ring_column != "laser_number" or rings is None or rings.max(initial=-1) < _ARGOVERSE_BEAMS:
+        return ()
+    return (
+        f"laser numbers up to {rings.max()}: two fused sensors of {_ARGOVERSE_BEAMS} beams "
+        "(Argoverse, VLP-32C), in the vehicle's frame; for beams and rays, write numbers "
+        f"below {_ARGOVERSE_BEAMS} alone, in their frame",
+    )
 
 
 def _numbers(path: Path, name: str, column: NDArray[Any]) -> FloatArray:
-    if column.dtype.kind in _NO_NUMBERS:
-        raise ScanError(
-            f"{path}: column {name}: expected one real number per row, got {column.dtype} values",
-        )
     try:
-        with np.errstate(
-            over="ignore",
-            invalid="ignore",
-        ):  # what float64 does not hold is infinite or NaN
+        # what float64 does not hold is infinite or NaN
+        with np.errstate(over="ignore", invalid="ignore"):
             return column.astype(np.float64)
     except (TypeError, ValueError, OverflowError):
-        for row, value in enumerate(column.tolist()):
-            try:
-                float(value)
-            except (TypeError, ValueError, OverflowError):
-                text = cause_of(repr(value))
-                if re.fullmatch(r"[-\d ]+,\d+", str(value)):
-                    text += "; is it a decimal comma? write decimal points"
-                raise ScanError(
-                    f"{path}: row {row + 1}, column {name}: expected a number, got {text}",
-                ) from None
+        rows = enumerate(column.tolist(), start=1)
+        row, value = next((row, value) for row, value in rows if not is_number(value))
+        hint = ""
+        if re.fullmatch(r"[-\d ]+,\d+", str(value)):
+            hint = "; is it a decimal comma? write decimal points"
         raise ScanError(
-            f"{path}: column {name}: expected numbers, got type {column.dtype}",
+            f"{path}: row {row}, column {name}: expected a number, got "
+            f"{cause_of(repr(value))}{hint}"
         ) from None
+
+
+def is_number(value: Any) -> bool:
+    """True for a number or the text of one."""
+    try:
+        float(value)
+    except (TypeError, ValueError, OverflowError):
+        return False
+    return True
 
 
 def _instance_numbers(numbers: FloatArray | None) -> IntArray | None:
@@ -286,7 +276,7 @@ def _instance_numbers(numbers: FloatArray | None) -> IntArray | None:
         return None
     is_object = numbers > 0  # not where it is NaN
     objects, ids = np.unique(numbers[is_object], return_inverse=True)
-    if len(objects) and (objects[-1] >= 2**31 or np.any(objects != np.round(objects))):
+    if not _are_whole(objects, 2**31):
         objects = np.arange(1.0, len(objects) + 1)
     instances = np.zeros(len(numbers), dtype=np.int32)
     instances[is_object] = objects[ids].astype(np.int32)
@@ -298,8 +288,13 @@ def _ring_numbers(numbers: FloatArray | None) -> IntArray | None:
     if numbers is None:
         return None
     numbers = np.nan_to_num(numbers, nan=-1.0)
-    is_whole = bool(np.all((np.abs(numbers) < 2**31) & (numbers == np.round(numbers))))
-    return numbers.astype(np.int32) if is_whole else None
+    return numbers.astype(np.int32) if _are_whole(numbers, 2**31) else None
+
+
+def _are_whole(numbers: FloatArray, limit: int) -> bool:
+    """True if all numbers are integers whose magnitude is below a limit."""
+    is_whole = numbers == np.round(numbers)
+    return bool(np.all(is_whole & (np.abs(numbers) < limit)))
 
 
 def _label_text(path: Path, column: NDArray[Any]) -> NDArray[np.str_]:
@@ -310,6 +305,6 @@ def _label_text(path: Path, column: NDArray[Any]) -> NDArray[np.str_]:
             raise ScanError(
                 f"{path}: expected labels of at most {LONGEST_LABEL} characters, got one of {longest}",
             )
-    if column.dtype.kind == "f" and np.all((np.abs(column) < 2**53) & (column == np.round(column))):
+    if column.dtype.kind == "f" and _are_whole(column, 2**53):
         column = column.astype(np.int64)
     return column.astype(np.str_)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from decimal import Decimal
 from pathlib import Path
 
 from ....schemas.errors import ScanError
@@ -74,8 +75,7 @@ class ScanRef:
         """Time of the frame; None if it is named by a number, or not at all."""
         if self.frame is None or "." not in self.frame:
             return None
-        seconds, _, rest = self.frame.partition(".")
-        return int(seconds) * _NANOSECONDS + int(rest.ljust(9, "0")[:9])
+        return int(Decimal(self.frame) * _NANOSECONDS)
 
     def absolute(self) -> ScanRef:
         """The same scan with an absolute path."""
@@ -148,26 +148,17 @@ def frame_number(scan: ScanRef, times_ns: Sequence[int]) -> int:
     ScanError
         No frame has this number or time, or there are several and no frame is given.
     """
-    n_frames = len(times_ns)
-    if scan.frame is None:
-        if n_frames == 1:
-            return 0
-        name = f"{scan.file.name}#{scan.topic}@" if scan.topic else f"{scan.file.name}#"
-        raise ScanError(
-            f"{scan.file}: expected one frame, got {n_frames}; name one in a pairs.csv, such as "
-            f"{name}0"
-        )
-    time_ns = scan.time_ns
-    if time_ns is None:
-        if int(scan.frame) < n_frames:
-            return int(scan.frame)
-        raise ScanError(f"{scan.file}: no frame {scan.frame}; the last is {n_frames - 1}")
-    if times_ns.count(time_ns) == 1:
-        return times_ns.index(time_ns)
-    times = ", ".join(map(_seconds, (*times_ns[:1], *times_ns[-1:])))
+    numbers = list(range(len(times_ns)))
+    if scan.time_ns is not None:
+        numbers = [number for number in numbers if times_ns[number] == scan.time_ns]
+    elif scan.frame is not None:
+        numbers = numbers[int(scan.frame) :][:1]
+    if len(numbers) == 1:
+        return numbers[0]
+    times = " to ".join(map(_seconds, (*times_ns[:1], *times_ns[-1:])))
     raise ScanError(
-        f"{scan.file}: expected one frame at {scan.frame} s, got {times_ns.count(time_ns)}; first "
-        f"and last are at {times}"
+        f"{scan}: expected one frame, got {len(numbers)} of {len(times_ns)} ({times} s); name one in "
+        f"a pairs.csv, such as {replace(scan, frame='0')}"
     )
 
 

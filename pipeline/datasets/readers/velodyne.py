@@ -18,11 +18,15 @@ _LINUX_COOKED = 113
 
 
 class _Revolution(NamedTuple):
-    """A revolution of the sensor in a capture: when its last packet came, and the bytes of the file that hold it."""
+    """A revolution of the sensor in a capture.
+
+    time_ns : when its last packet came
+    start, stop : bytes of the file that hold it; from the first one if `start` is None
+    """
 
     time_ns: int
-    start: int
-    stop: int
+    start: int | None
+    stop: int | None
 
 
 def read(scan: ScanRef) -> Scan:
@@ -74,23 +78,12 @@ def _revolutions(file: Path, mtime_ns: int) -> list[_Revolution]:
     import velodyne_decoder as vd
 
     revolutions: list[_Revolution] = []
-    start: int | None = None
-    stop = 0
-
-    def add(decoded_turn: Any) -> None:
-        if decoded_turn is not None and start is not None:
-            time_ns = round(decoded_turn[0].host * 1e6) * 1000
+    start = None
+    for stop, turn in _turns(file, vd.StreamDecoder(_config(file, mtime_ns))):
+        if turn is not None and stop != start:
+            time_ns = round(turn[0].host * 1e6) * 1000
             revolutions.append(_Revolution(time_ns, start, stop))
-
-    decoder = vd.StreamDecoder(_config(file, mtime_ns))
-    for (begin, end), stamp, data in _packets(file):
-        start = begin if start is None else start
-        stop = end
-        turn = decoder.decode(stamp, data, False)
-        add(turn)
-        if turn is not None:
-            start = None
-    add(decoder.finish(False))
+            start = stop
     if not revolutions:
         raise ScanError(
             f"{file}: no data packets of a Velodyne sensor ({_PACKET_BYTES} bytes each) found",
@@ -98,10 +91,18 @@ def _revolutions(file: Path, mtime_ns: int) -> list[_Revolution]:
     return revolutions
 
 
+def _turns(file: Path, decoder: Any) -> Iterator[tuple[int | None, Any]]:
+    """The end of each packet, and the revolution that it completes, if any; at last the unfinished one."""
+    stop = None
+    for stop, stamp, data in _packets(file):
+        yield stop, decoder.decode(stamp, data, False)
+    yield stop, decoder.finish(False)
+
+
 def _packets(
     file: Path, start: int | None = None, stop: int | None = None
-) -> Iterator[tuple[tuple[int, int], float, bytes]]:
-    """Data packets between two places of a capture: bytes from and to, when each came in seconds, and its content."""
+) -> Iterator[tuple[int, float, bytes]]:
+    """Data packets between two places of a capture: where each ends, when it came in seconds, and its content."""
     import dpkt
 
     with file.open("rb") as stream:
@@ -109,7 +110,6 @@ def _packets(
         outermost = dpkt.sll.SLL if capture.datalink() == _LINUX_COOKED else dpkt.ethernet.Ethernet
         if start is not None:
             stream.seek(start)
-        begin = stream.tell()
         for stamp, content in capture:
             end = stream.tell()
             if stop is not None and end > stop:
@@ -121,8 +121,7 @@ def _packets(
             while hasattr(inner, "data"):
                 inner = inner.data
             if len(inner) == _PACKET_BYTES:
-                yield (begin, end), float(stamp), bytes(inner)
-            begin = end
+                yield end, float(stamp), bytes(inner)
 
 
 @lru_cache(maxsize=16)

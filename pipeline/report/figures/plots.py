@@ -12,8 +12,7 @@ from matplotlib.patches import Patch
 
 from ....schemas.columns import Row
 from ....schemas.errors import RunError
-from ....schemas.metric_catalogue import METRIC, QUADRANT_SCORES
-from ...results.finished import FinishedRun, pair_object
+from ...results.finished import FinishedRun
 from ..look import FATE_WORDS, OUTCOME_COLOURS, OUTCOME_WORDS, SIDE_COLOURS
 from ..run_frames import coordinates, inside, points_of
 from ..view import count, number, percent
@@ -37,7 +36,7 @@ def plot_object(run: FinishedRun, pair_id: str, name: str, ax: Any = None) -> Fi
     RunError
         The pair failed, it has no such object, or a table is damaged.
     """
-    rows = pair_object(run, pair_id, name)
+    rows = run.object(pair_id, name)
     members = {}
     others = []
     for side, row in rows.items():
@@ -70,12 +69,11 @@ def _object_title(row: Row) -> str:
     name = f"{row['side']} {row['community_id']}"
     if row["label"]:
         name = f"{style.shown_name(row['label'])} ({name})"
-    title = f"{_title(row['pair_id'])}, {name}\n{row['range_m']:.0f} m away"
-    words = [title, FATE_WORDS[row["fate"]]]
+    fate = FATE_WORDS[row["fate"]]
+    title = f"{_title(row['pair_id'])}, {name}\n{row['range_m']:.0f} m away, {fate}"
     if row["fate"] == "matched":
-        for score in QUADRANT_SCORES:
-            words.append(f"{METRIC[score].label} {number(row[score])}")
-    return ", ".join(words)
+        title += f", CDC {number(row['cdc'])}, r_lambda {number(row['r_lambda'])}"
+    return title
 
 
 def plot_pieces(run: FinishedRun, pair_id: str, ax: Axes | None = None) -> Figure:

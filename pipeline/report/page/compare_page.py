@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 import numpy as np
 
@@ -20,7 +17,6 @@ from ..run_frames import coordinates, inside
 from ..view import percent
 from ..views.compare_view import answer, decision, numbers_view, place_words
 from .page_templates import render
-from .run_page import PAGE
 
 _METHOD = (
     "Changes are after minus before, means over independent pairs. Intervals: 95 %, each of its "
@@ -35,12 +31,8 @@ _REACH_M = 0.5
 _MOST_POINTS = 5000
 
 
-def compare_page(comparisons: Sequence[Comparison], start: Path = Path()) -> str:
+def compare_page(comparisons: Sequence[Comparison]) -> str:
     """The whole page; every name is escaped.
-
-    Parameters
-    ----------
-    start : folder that the page is for, which its links to the runs' reports begin at
 
     Raises
     ------
@@ -60,7 +52,6 @@ def compare_page(comparisons: Sequence[Comparison], start: Path = Path()) -> str
                 "answer": [answer(comparison)],
                 "numbers": numbers_view(comparison, with_all=True),
                 "places": list(places),
-                "reports": [_report_link(run.folder, start) for run in runs],
             }
         )
     return render("compare.html", {"places": drawn}, sections=sections, method=_METHOD)
@@ -127,9 +118,3 @@ def _some(points: FloatArray) -> FloatArray:
 def _columns(points: FloatArray) -> list[list[float]]:
     """All x, all y and all z of some points, rounded."""
     return points.T.round(2).tolist()
-
-
-def _report_link(run: Path, start: Path) -> str:
-    """The address of a run's report, relative to a folder; "" without a report."""
-    page = run / PAGE
-    return quote(os.path.relpath(page.resolve(), start.resolve())) if page.exists() else ""

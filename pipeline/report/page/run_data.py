@@ -24,8 +24,8 @@ from ...results.finished import FinishedRun
 from ...results.object_frame import QUADRANTS, UNKNOWN, plain_rows
 from ..look import FATE_WORDS, OUTCOME_WORDS
 from ..run_frames import RunResults, points_of
-from ..view import Answers, Table, columns_of, percent
-from ..views.answer_view import answer_sections, frame_warnings, run_line
+from ..view import Answers, Table, columns_of, items_of, percent
+from ..views.answer_view import answer_sections, frame_warnings, next_commands, run_line
 from ..views.best_case_view import excess_view
 from ..views.run_view import details_view, failures_view, pairs_table
 from .pair_data import SIGNED_M
@@ -75,19 +75,20 @@ def page_words(
     run = results.run
     overview = run.overview
     assert overview is not None  # a pair is scored
-    sections = answer_sections(run, excess, with_all=True, is_page=True)
-    sections.pop("Worst places", None)
-    trust = sections.pop("Trust", [])
+    sections = answer_sections(run, excess, with_all=True)
+    del sections["Worst places"]
+    sections["Next"] = items_of(*next_commands(run, excess, is_page=True))
+    trust = {"Trust": sections.pop("Trust")}
     pairs = plain_rows(results.pairs)
     return {
         "title": run.folder.resolve().name,
         "line": run_line(run),
-        "answer": [*frame_warnings(run), Answers([*sections.items()])],
+        "answer": [*frame_warnings(run), Answers(sections)],
         "bars": _bars(results, excess),
         "rays": _ray_bars(results),
         "worst": [(_address(run, piece), piece) for piece in overview.pieces],
         "failures": failures_view(run),
-        "trust": [Answers([("Trust", trust)])],
+        "trust": [Answers(trust)],
         "details": details_view(run.record),
         "limits": QUADRANT_LIMITS,
         "best_case": excess_view(excess) if excess else [],

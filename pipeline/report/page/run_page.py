@@ -37,7 +37,6 @@ def write_report(
     html: Path | None = None,
     best_case: Path | None = None,
     with_figures: bool = False,
-    reporter: Reporter | None = None,
 ) -> ReportFiles:
     """Write the page of a finished run, in place of that of an earlier report.
 
@@ -50,7 +49,6 @@ def write_report(
     html : file of the page; by default report.html in that folder
     best_case : the run of fidpipe best-case that scores are also shown over
     with_figures : also write the paper's figures; maps are of the median of those pairs
-    reporter : shows the progress over pairs
 
     Raises
     ------
@@ -70,7 +68,7 @@ def write_report(
     of_worst = {piece.pair_id for piece in overview.pieces} if overview else set()
     names = [name for i, name in enumerate(chosen) if i < MOST_VIEWS or name in of_worst]
     n_pairs = len(results.pairs)
-    show = reporter or Reporter()
+    show = Reporter()
     show.start(len(names), len(names))
     views = {}
     for name in names:

@@ -10,7 +10,7 @@ from ....schemas.metric_catalogue import COVERED, headline_scores, metric_of
 from ....schemas.record import RunRecord
 from ....schemas.results import Cause, Overview, Unknown
 from ....stages.statistics.comparison import LEAST_FOR_INTERVAL
-from ...results.best_case import BestCaseRecipe, RunExcess, read_recipe
+from ...results.best_case import RunExcess, read_recipe
 from ...results.causes import MANY_UNKNOWN, MOST_SHOWN, interval_words, no_cause_words
 from ...results.diagnosis import doubtful_words, gain_words, unexplained_words
 from ...results.finished import FinishedRun
@@ -54,20 +54,13 @@ def answer_view(
     took : time and reused jobs of a run that just ended
     """
     sections = answer_sections(run, excess, with_all=with_all)
-    return [Note(run_line(run, took), "bold"), Answers(list(sections.items()))]
+    return [Note(run_line(run, took), "bold"), Answers(sections)]
 
 
 def answer_sections(
-    run: FinishedRun,
-    excess: RunExcess | None = None,
-    *,
-    with_all: bool = False,
-    is_page: bool = False,
+    run: FinishedRun, excess: RunExcess | None = None, *, with_all: bool = False
 ) -> dict[str, list[Item]]:
-    """The items of an answer by their heading, as `answer_view` shows them.
-
-    is_page : names the commands that lead on from a page
-    """
+    """The items of an answer by their heading, as `answer_view` shows them."""
     record = run.record
     overview = run.overview
     if overview is None:
@@ -81,12 +74,11 @@ def answer_sections(
     small = ""
     if overview.small:
         small = f"seen, but a small part of the distance: {'; '.join(overview.small)}"
-    recipe = read_recipe(run.folder)
     most = None if with_all else _MOST_CAUTIONS
-    trust = trust_words(run.folder, overview, most, has_best_case=bool(excess or recipe))
+    trust = trust_words(overview, most)
     if not with_all:
         trust.append(f"more: {shlex.join(['fidpipe', 'show', url_or_path(run.folder), '--all'])}")
-    sections = {
+    return {
         "  surface": items_of(surface_words(record, excess)),
         "  pieces": items_of(pieces_words(record)),
         "  tasks": items_of(task_words(record, excess)),
@@ -96,9 +88,8 @@ def answer_sections(
         "Worst places": _worst_places(overview, with_all),
         "Objects": items_of(scores_words(record)),
         "Trust": items_of(*trust),
-        "Next": items_of(*next_commands(run, recipe, is_page=is_page)),
+        "Next": items_of(*next_commands(run, excess)),
     }
-    return {heading: items for heading, items in sections.items() if items}
 
 
 def frame_warnings(run: FinishedRun) -> list[Note]:
@@ -122,21 +113,12 @@ def _worst_places(overview: Overview, with_all: bool) -> list[Item]:
     return [(f"{names[piece.pair_id]}  {piece.words}", "", piece.fate_words) for piece in pieces]
 
 
-def trust_words(
-    folder: Path, overview: Overview, most: int | None, *, has_best_case: bool
-) -> list[str]:
+def trust_words(overview: Overview, most: int | None) -> list[str]:
     """What limits the trust in a run, at most so many cautions; then causes that are unknown.
 
-    Commands name the folder of the run.
+    Frames that differ are shown above.
     """
-    hidden = {"frames"}  # they are shown above
-    if has_best_case:
-        hidden.add("best_case")
-    command = shlex.join(["fidpipe", "best-case", url_or_path(folder)])
-    trust = []
-    for caution in overview.trust:
-        if caution.kind not in hidden:
-            trust.append(caution.words.replace("fidpipe best-case RUN", command))
+    trust = [caution.words for caution in overview.trust if caution.kind != "frames"]
     return trust[:most] + unknown_words(overview.unknown)
 
 
@@ -151,19 +133,21 @@ def unknown_words(unknown: Sequence[Unknown]) -> list[str]:
 
 
 def next_commands(
-    run: FinishedRun, recipe: BestCaseRecipe | None, *, is_page: bool = False
+    run: FinishedRun, excess: RunExcess | None, *, is_page: bool = False
 ) -> list[str]:
     """The commands that lead on from a run, or from its page."""
     record = run.record
     name = url_or_path(run.folder)
-    if recipe is not None:
+    if read_recipe(run.folder):
         commands = [["show", "RUN", "--best-case", name]]
     elif record.frames:
         options = as_options(record.preset, record.departures)
         commands = [["check", record.dataset, *options]]
     else:
-        last = ["compare", name, "NEW_RUN"] if is_page else ["report", name, "--open"]
-        commands = [last] if run.diagnosis else [["diagnose", name], last]
+        commands = [] if run.diagnosis else [["diagnose", name]]
+        commands.append(["compare", name, "NEW_RUN"] if is_page else ["report", name, "--open"])
+        if excess is None:
+            commands.append(["best-case", name])
     return [shlex.join(["fidpipe", *words]) for words in commands]
 
 

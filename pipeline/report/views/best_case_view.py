@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ....schemas.metric_catalogue import metric_of, pair_columns_in
 from ...results.best_case import RunExcess
-from ..view import Note, Table, View, count, signed, warnings
+from ..view import Note, Table, View, count, first_of, signed, warnings
 
 _EXCESS_NOTE = (
     "Best case: what a perfect simulator scores, a second measurement of each real scan. Excess: "
@@ -41,9 +41,7 @@ def excess_notes(excess: RunExcess) -> list[str]:
     notes = [f"other code or libraries: {text}" for text in excess.notes]
     n_left_out = len(excess.left_out)
     if n_left_out:
-        named = ", ".join(excess.left_out[:_MOST_NAMES])
-        if n_left_out > _MOST_NAMES:
-            named += " ..."
+        named = ", ".join(first_of(excess.left_out, _MOST_NAMES, "..."))
         notes.append(
             f"{n_left_out} pairs are not in the best case {excess.best_case} and left out: {named}"
         )

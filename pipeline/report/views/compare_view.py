@@ -119,42 +119,29 @@ def reasons(comparison: Comparison) -> dict[str, list[Item]]:
 
 def answer(comparison: Comparison, n_places: int = _MOST_PLACES) -> Answers:
     """The causes and families behind a decision, where to look (at so many), and how pairs were counted."""
-    sections = _by_verdict(comparison)
-    if comparison.lacks_places:
-        sections.append(("These frames", items_of(*_moved(comparison))))
     worst = worst_changes(comparison.objects, n_places)
     names = shortened({row["pair_id"] for row in worst}, _PAIR_WIDTH)
     where = [f"{names[row['pair_id']]}  {place_words(row)}" for row in worst]
     kinds = ", ".join(f"{n} {kind}" for kind, n in comparison.kinds.items() if n)
     again = (comparison.other, "--since", comparison.base)
-    sections += [
-        ("Where", items_of(*where)),
-        ("Objects", items_of(kinds)),
-        ("Compared", items_of(f"{comparison.other} against {comparison.base}", chance(comparison))),
-        ("Next", items_of(shlex.join(["fidpipe", "diagnose", *map(str, again)]))),
-    ]
-    return Answers([(heading, items) for heading, items in sections if items])
+    sections = {
+        "Where": items_of(*where),
+        "Objects": items_of(kinds),
+        "Compared": items_of(f"{comparison.other} against {comparison.base}", chance(comparison)),
+        "Next": items_of(shlex.join(["fidpipe", "diagnose", *map(str, again)])),
+    }
+    return Answers(_by_verdict(comparison) | sections)
 
 
-def _by_verdict(comparison: Comparison) -> list[tuple[str, Sequence[Item]]]:
+def _by_verdict(comparison: Comparison) -> dict[str, list[Item]]:
     """The causes and families behind a decision, by the heading of their verdict."""
     behind = reasons(comparison).items()
-    return [(verdict.capitalize() or "In the world", items) for verdict, items in behind if items]
+    return {verdict.capitalize() or "In the world": items for verdict, items in behind}
 
 
 def place_words(row: Row) -> str:
     """A changed real object in words."""
     return f"{row['label'] or row['shape']}, {row['range_m']:.0f} m away: {row['kind']}"
-
-
-def _moved(comparison: Comparison) -> list[str]:
-    """The families that moved clearly on the scans at hand, by their clearest score."""
-    names: dict[str, list[str]] = {"worse": [], "better": []}
-    for family in comparison.families:
-        clear = [score.towards for score in family.scores if score.is_clear]
-        if clear and clear[0]:
-            names[clear[0]].append(family.name)
-    return [f"{towards}: {', '.join(moved)}" for towards, moved in names.items() if moved]
 
 
 def chance(comparison: Comparison) -> str:
@@ -198,9 +185,6 @@ def remarks(comparison: Comparison) -> list[Note]:
         lines.append(f"seen, but undoing it brings nothing closer: {doubtful}")
     if comparison.on_partition:
         lines.append(comparison.on_partition)
-    by_seeds = [score.name for score in comparison.scores if score.is_by_seeds]
-    if by_seeds:
-        lines.append(f"no more than Louvain seeds alone make: {', '.join(by_seeds)}")
     n_unfollowed = len(comparison.unfollowed)
     if n_unfollowed:
         lines.append(
@@ -232,7 +216,7 @@ def changed_since(comparison: Comparison) -> View:
     """The causes that changed since an earlier build; not those against the real scans."""
     title = Note(f"Changed since {comparison.base}", "bold")
     sections = _by_verdict(replace(comparison, families=()))
-    if not sections:
+    if not any(sections.values()):
         return [title, Note("no cause changed by more than the accuracy of its estimate")]
     return [title, Answers(sections)]
 

@@ -14,24 +14,20 @@ from ....schemas.metric_catalogue import (
     scores_in,
 )
 from ...results.best_case import RunExcess
-from ...results.finished import FinishedRun, pair_object, pair_values, run_values
-from ...results.object_frame import UNKNOWN
+from ...results.finished import FinishedRun, run_values
+from ...results.object_frame import COLUMNS_OF, UNKNOWN
 from ...results.overview import alignment_is_bad
 from ..look import FATE_WORDS
 from ..view import Note, Part, Table, View, columns_of, number, percent, warnings
 from .run_view import summary_view
 
 _NEAR = "covered_0p3m"
-_COVERED = tuple(f"covered_{reach}" for reach in COVERAGE_REACHES)
 #: An object of which less surface is covered on a side is not called faithful.
 _LEAST_COVERED = 0.6
 _LEAST_ROAD = 0.005  # share that rounds to a per cent
 _MOST_UNMATCHED = 10
-#: Columns of `objects` and `coverage`: place, shape, and how much of it the other side has.
-_OBJECT_COLUMNS = (
-    *("n_points", "range_m", "cx", "cy", "cz", "extent_x", "extent_y", "extent_z"),
-    *("linearity", "planarity", "scattering", "label", *_COVERED, "median_distance_m"),
-)
+#: Place, shape, and how much of it the other side has.
+_OBJECT_COLUMNS = ("n_points", *COLUMNS_OF["objects"], *COLUMNS_OF["coverage"])
 #: Outcomes of rays as shares, and the mean error of range.
 _RAYS = (
     *("rays_same", "rays_in_front", "rays_behind", "rays_dropped", "rays_no_surface"),
@@ -57,8 +53,8 @@ def show_view(
     if pair is None:
         return summary_view(run, excess, with_all=with_all)
     if name is not None:
-        return object_view(pair_object(run, pair, name))
-    parts = pair_view(pair_values(run, pair), with_all=with_all)
+        return object_view(run.object(pair, name))
+    parts = pair_view(run.pair(pair), with_all=with_all)
     return [*parts, *warnings((run.record.notes or {}).get(pair, ()))]
 
 
@@ -68,7 +64,7 @@ def show_json(
     """A run, a pair of it, or an object of a pair as plain values."""
     if pair is None:
         return run_values(run) | ({"excess": excess.as_dict()} if excess else {})
-    return pair_values(run, pair) if name is None else pair_object(run, pair, name)
+    return run.pair(pair) if name is None else run.object(pair, name)
 
 
 def pair_view(values: Mapping[str, Any], *, with_all: bool = False) -> View:
@@ -76,7 +72,7 @@ def pair_view(values: Mapping[str, Any], *, with_all: bool = False) -> View:
 
     Parameters
     ----------
-    values : from `pair_values`
+    values : from `FinishedRun.pair`
     with_all : all unmatched objects, not only the largest
     """
     row = values["pair"]
@@ -157,7 +153,7 @@ def _unmatched(objects: Sequence[Row], *, with_all: bool) -> View:
 def object_view(rows: Mapping[str, Row | None]) -> View:
     """A sentence on an object, its scores, and its place and shape on both sides.
 
-    rows : one of `pair_objects`
+    rows : from `FinishedRun.object`
     """
     real = rows["real"] or {}
     sim = rows["sim"] or {}
