@@ -29,6 +29,7 @@ STAGE = Stage(
     gives=("selection",),
     settings=("selection",),
     grain=Grain.OBJECT,
+    version=2,
     make=make_selection,
     libraries=("POT",),
 )

@@ -132,7 +132,10 @@ def _cheapest(
 
 
 def _cheaper_arcs(
-    a: FloatArray, b: FloatArray, price_a: FloatArray, price_b: FloatArray
+    a: FloatArray,
+    b: FloatArray,
+    price_a: FloatArray,
+    price_b: FloatArray,
 ) -> IndexArray:
     """Ascending codes of all arcs that cost less than the prices of their ends.
 
@@ -144,8 +147,12 @@ def _cheaper_arcs(
     square_b = (b**2).sum(axis=1)
     left = np.column_stack([a, price_a, square_a - price_a**2, np.ones(n)])
     right = np.column_stack([-2 * b, -2 * price_b, np.ones(n), square_b - price_b**2]).T
-    rounding = _ROUNDING_OF_SQUARE * ((square_a + price_a**2).max() + (square_b + price_b**2).max())
-    near = [rows[0] * n + np.flatnonzero(left[rows] @ right < rounding) for rows in _blocks(n, n)]
+    largest = (square_a + price_a**2).max() + (square_b + price_b**2).max()
+    rounding = _ROUNDING_OF_SQUARE * largest
+    near = []
+    for rows in _blocks(n, n):
+        is_near = left[rows] @ right < rounding
+        near.append(rows[0] * n + np.flatnonzero(is_near))
     codes = np.concatenate(near)
     i, j = np.divmod(codes, n)
     return codes[_lengths(a[i], b[j]) < price_a[i] + price_b[j]]
@@ -157,7 +164,10 @@ def _with_new_arcs(arcs: IndexArray, others: IndexArray) -> IndexArray:
 
 
 def _solve(
-    a: FloatArray, b: FloatArray, arcs: IndexArray, prices: Prices
+    a: FloatArray,
+    b: FloatArray,
+    arcs: IndexArray,
+    prices: Prices,
 ) -> tuple[IndexArray, Prices]:
     """Best assignment along the given arcs, and the dual prices of both sides that prove it.
 
