@@ -73,7 +73,10 @@ FAULTS = {
         lambda real, sim: (real, [each[::40] for each in sim]),
         "empty",
     ),
-    "300 hits on the bonnet, real": (lambda real, sim: (with_bonnet(real, 300), sim), "ego real"),
+    "300 hits on the bonnet, real": (
+        lambda real, sim: (with_bonnet(real, 300), sim),
+        "ego real",
+    ),
     "3000 hits on the bonnet, simulated": (
         lambda real, sim: (real, with_bonnet(sim, 3000)),
         "ego sim",
@@ -99,9 +102,12 @@ def with_copies(scans):
 def sequences(data):
     """Real and simulated scans in order of time, by what they are."""
     return {
-        "kitti_sequence": with_copies(points_of(sorted((data / "kitti_sequence").glob("*.bin")))),
+        "kitti_sequence": with_copies(
+            points_of(sorted((data / "kitti_sequence").glob("*.bin")))
+        ),
         "kitti_twin": tuple(
-            points_of(sorted((data / "kitti_twin" / side).iterdir())) for side in ("real", "sim")
+            points_of(sorted((data / "kitti_twin" / side).iterdir()))
+            for side in ("real", "sim")
         ),
         "VLP-32C, parked": with_copies(
             points_of(frames_of(data / "velodyne_vlp32c/sweeps.pcap")[:4])
@@ -162,7 +168,9 @@ def sides(data):
             words = ["nothing"]
             if wanted:
                 words = ["seen" if wanted in names else "not seen"]
-            cells.append(", ".join(words + [f"and {other}" for other in sorted(names - {wanted})]))
+            cells.append(
+                ", ".join(words + [f"and {other}" for other in sorted(names - {wanted})])
+            )
             odd += [(fault, name, line) for line in lines] if names != {wanted} - {None} else []
         print(f"| {fault} | " + " | ".join(cells) + " |", flush=True)
     print("\nNot as wanted:")
@@ -195,9 +203,13 @@ def frames(data):
         "held out: synth --seed 31 --sensor os1-64": list(
             zip(*streets(31, 8, "os1-64"), strict=True)
         ),
-        "held out: registration, measured again": [(points, again(points, 0)) for points in held],
+        "held out: registration, measured again": [
+            (points, again(points, 0)) for points in held
+        ],
     }
-    print("\n| real | simulated | " + " | ".join(named) + " |\n" + "|---" * (len(named) + 2) + "|")
+    print(
+        "\n| real | simulated | " + " | ".join(named) + " |\n" + "|---" * (len(named) + 2) + "|"
+    )
     for real_frame in FRAME_AXES:
         for sim_frame in FRAME_AXES:
             cells = []
@@ -206,7 +218,9 @@ def frames(data):
                 for real, sim in pairs:
                     own = [
                         points[np.isfinite(points).all(axis=1)] @ as_ros(np.eye(3), frame).T
-                        for points, frame in zip((real, sim), (real_frame, sim_frame), strict=True)
+                        for points, frame in zip(
+                            (real, sim), (real_frame, sim_frame), strict=True
+                        )
                     ]
                     check = check_frames(*own, SETTINGS)
                     if check is None or not check.is_suspect:
@@ -230,7 +244,12 @@ def camera(data):
         "carla/000030.bin",
         "carla/half_sweep.bin",
     ]
-    names += ["rellis/*.bin", "registration/source.ply", "velodyne_vlp32c/*.pcd", "nuscenes/*.bin"]
+    names += [
+        "rellis/*.bin",
+        "registration/source.ply",
+        "velodyne_vlp32c/*.pcd",
+        "nuscenes/*.bin",
+    ]
     scans = (
         points_of(path for name in names for path in sorted(data.glob(name)))
         + streets(0, 4, "vlp32c")[1]

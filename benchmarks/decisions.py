@@ -50,7 +50,9 @@ CAMPAIGNS = ("poor-reference", "good-reference", "poor-paper")
 
 def make_datasets(args):
     """Writes a dataset per base and flaw, all with the same real scans; gives the points of each pair's car."""
-    sources = [path for folder in args.datasets for path in sorted((folder / "real").glob("*.bin"))]
+    sources = [
+        path for folder in args.datasets for path in sorted((folder / "real").glob("*.bin"))
+    ]
     cars = {}
     for path in sources[:: args.every_pair]:
         name = f"{path.parent.parent.name}-{path.stem}"
@@ -87,7 +89,9 @@ def run_of(args, campaign, flaw):
 
 
 def fidpipe(*words):
-    done = subprocess.run([FIDPIPE, *map(str, words)], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [FIDPIPE, *map(str, words)], capture_output=True, text=True, check=False
+    )
     if done.returncode:
         raise SystemExit(
             f"fidpipe {' '.join(map(str, words))}: exit {done.returncode}\n{done.stderr[-2000:]}"
@@ -182,10 +186,14 @@ def decision_table(args, campaign, cars):
 
 def changes(args, campaign):
     """Mean change and paired t over pairs of every number of `pairs`, one row per flaw and column."""
-    before = pd.read_parquet(run_of(args, campaign, NONE) / "pairs.parquet").set_index("pair_id")
+    before = pd.read_parquet(run_of(args, campaign, NONE) / "pairs.parquet").set_index(
+        "pair_id"
+    )
     rows = []
     for flaw in args.flaws:
-        after = pd.read_parquet(run_of(args, campaign, flaw) / "pairs.parquet").set_index("pair_id")
+        after = pd.read_parquet(run_of(args, campaign, flaw) / "pairs.parquet").set_index(
+            "pair_id"
+        )
         for column in after.select_dtypes("number"):
             change = (after[column] - before[column]).dropna().astype(float)
             error = change.std(ddof=1) / np.sqrt(len(change))
@@ -223,13 +231,19 @@ if __name__ == "__main__":
         "--out", type=Path, default=Path(".cache/decisions"), help="datasets and runs; resumed"
     )
     parser.add_argument(
-        "--campaigns", nargs="+", choices=CAMPAIGNS, default=list(CAMPAIGNS), help="base and preset"
+        "--campaigns",
+        nargs="+",
+        choices=CAMPAIGNS,
+        default=list(CAMPAIGNS),
+        help="base and preset",
     )
     parser.add_argument("--flaws", nargs="+", choices=ALL, default=list(ALL))
     parser.add_argument(
         "--every-pair", type=int, default=1, help="take each n-th pair, to try the script"
     )
-    parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="runs at the same time")
+    parser.add_argument(
+        "--jobs", type=int, default=os.cpu_count(), help="runs at the same time"
+    )
     arguments = parser.parse_args()
     cars_of_pairs = make_datasets(arguments)
     run_all(arguments)

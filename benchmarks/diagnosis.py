@@ -94,7 +94,9 @@ def pitch(angle_deg):
 
 
 def quantum(step_m):
-    return lambda scan, rng: along_ray(scan.points, np.round(ranges(scan.points) / step_m) * step_m)
+    return lambda scan, rng: along_ray(
+        scan.points, np.round(ranges(scan.points) / step_m) * step_m
+    )
 
 
 def motion(speed):
@@ -119,7 +121,8 @@ def mixed(share):
     def mix(scan, rng):
         is_mixed = rng.random(len(scan.points)) < share
         return along_ray(
-            scan.points, ranges(scan.points) + is_mixed * rng.uniform(0.2, 1.5, len(scan.points))
+            scan.points,
+            ranges(scan.points) + is_mixed * rng.uniform(0.2, 1.5, len(scan.points)),
         )
 
     return mix
@@ -165,7 +168,9 @@ def find_cars(points):
     """Points and box of each car-sized cluster within 25 m."""
     road_m = fs.road_height(points)
     height_m = points[:, 2] - road_m
-    is_near = (height_m > -0.5) & (height_m < CAR_TOP_M) & (np.hypot(*points.T[:2]) < CAR_RANGE_M)
+    is_near = (
+        (height_m > -0.5) & (height_m < CAR_TOP_M) & (np.hypot(*points.T[:2]) < CAR_RANGE_M)
+    )
     near = points[~fs.is_ground(points) & is_near]
     links = fs.cKDTree(near).query_pairs(0.35, output_type="ndarray")
     graph = coo_matrix((np.ones(len(links)), links.T), shape=(len(near), len(near)))
@@ -175,7 +180,9 @@ def find_cars(points):
         turn, low, high = smallest_rectangle(own[:, :2])
         sizes = (*np.sort(high - low)[::-1], own[:, 2].max() - road_m)
         limits = (CAR_LENGTH_M, CAR_WIDTH_M, CAR_HEIGHT_M)
-        if all(least <= size <= most for size, (least, most) in zip(sizes, limits, strict=True)):
+        if all(
+            least <= size <= most for size, (least, most) in zip(sizes, limits, strict=True)
+        ):
             yield own, turn, np.array([*low, road_m + 0.2]), np.array([*high, own[:, 2].max()])
 
 
@@ -206,8 +213,14 @@ FLAWS = {
     "holes": (PARTS[:1], [(holes(n), None) for n in (5, 12, 25)]),
     "ghosts": (PARTS[1:], [(ghosts(a), a / (1 + a)) for a in (0.01, 0.02, 0.04)]),
     "noise": (("range noise",), [(ray_noise(a), None) for a in (0.04, 0.1, 0.2)]),
-    "blurred beams": (("elevation noise",), [(jittered(a, 0), None) for a in (0.02, 0.03, 0.04)]),
-    "jittering azimuth": (("azimuth noise",), [(jittered(0, a), None) for a in (0.01, 0.02, 0.04)]),
+    "blurred beams": (
+        ("elevation noise",),
+        [(jittered(a, 0), None) for a in (0.02, 0.03, 0.04)],
+    ),
+    "jittering azimuth": (
+        ("azimuth noise",),
+        [(jittered(0, a), None) for a in (0.01, 0.02, 0.04)],
+    ),
     "offset ahead": (("forward",), [(shifted(a, 0), a) for a in (0.1, 0.2, 0.4)]),
     "offset sideways": (("sideways",), [(shifted(0, a), a) for a in (-0.1, 0.2, -0.4)]),
     "solid foliage": (("solid foliage",), [(fs.solid_foliage, None)]),
@@ -262,9 +275,9 @@ def wobbling(scan, rng):
 
 def sheared(scan, rng):
     """Everything leans: 20 cm ahead per metre above the road."""
-    return scan.points + np.maximum(scan.points[:, 2:] - np.quantile(scan.points[:, 2], 0.1), 0) * [
-        [0.2, 0, 0]
-    ]
+    return scan.points + np.maximum(
+        scan.points[:, 2:] - np.quantile(scan.points[:, 2], 0.1), 0
+    ) * [[0.2, 0, 0]]
 
 
 def melted(scan, rng):
@@ -297,7 +310,9 @@ def jumping(scan, rng):
     azimuth = np.arctan2(scan.points[:, 1], scan.points[:, 0])
     azimuth += np.radians(0.6) * np.where(np.degrees(azimuth) // 10 % 2, 1, -1)
     level = np.hypot(scan.points[:, 0], scan.points[:, 1])
-    return np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), scan.points[:, 2]])
+    return np.column_stack(
+        [level * np.cos(azimuth), level * np.sin(azimuth), scan.points[:, 2]]
+    )
 
 
 def wavy(scan, rng):
@@ -395,7 +410,9 @@ def diagnose(pairs):
         amounts = {name: amount.amount for name, amount in pair.estimates.amounts.items()}
         made = corrections(pair.scans, pose, amounts, excess, rng)
         gains.append(
-            shares(pair.scans, made, pose.displacement.seam_deg, rng, pair.estimates.best_case_m)
+            shares(
+                pair.scans, made, pose.displacement.seam_deg, rng, pair.estimates.best_case_m
+            )
         )
     confirmed, _ = confirm(causes, mean_gains(gains), mean_distances(gains))
     rows = [cause_row(cause) for cause in confirmed]
@@ -407,7 +424,8 @@ def diagnose(pairs):
 
 def mean_gains(gains):
     return {
-        name: float(np.mean([pair.by_cause[name] for pair in gains])) for name in gains[0].by_cause
+        name: float(np.mean([pair.by_cause[name] for pair in gains]))
+        for name in gains[0].by_cause
     }
 
 
@@ -523,7 +541,13 @@ def tasks_of(args):
         for i in range(args.healthy):
             rng = random("healthy", i)
             amounts = rng.uniform(0.01, 0.03), rng.uniform(0.01, 0.04)
-            yield args, folder, "real", ("healthy", str(i), 0), [(f"healthy {i}", again(*amounts))]
+            yield (
+                args,
+                folder,
+                "real",
+                ("healthy", str(i), 0),
+                [(f"healthy {i}", again(*amounts))],
+            )
             yield (
                 args,
                 folder,
@@ -548,7 +572,9 @@ def run_all(args):
     ALL.extend(tasks)
     with ProcessPoolExecutor(args.jobs) as pool:
         return [
-            row for rows in pool.map(judge_number, range(len(tasks)), chunksize=2) for row in rows
+            row
+            for rows in pool.map(judge_number, range(len(tasks)), chunksize=2)
+            for row in rows
         ]
 
 
@@ -566,13 +592,16 @@ def is_named_early(named, truth):
 
 
 def tables(rows):
-    frame = pd.DataFrame(rows, columns=["scenes", "base", "label", "pairs", "against", "causes"])
+    frame = pd.DataFrame(
+        rows, columns=["scenes", "base", "label", "pairs", "against", "causes"]
+    )
     frame["kind"], frame["flaw"], frame["amount"] = zip(*frame.label, strict=True)
     frame["named"] = [[name for name, *_ in causes] for causes in frame.causes]
     single = frame[frame.kind == "single"].copy()
     single["first"] = [named[0] if named else "none" for named in single.named]
     single["right"] = [
-        first in FLAWS[flaw][0] for first, flaw in zip(single["first"], single.flaw, strict=True)
+        first in FLAWS[flaw][0]
+        for first, flaw in zip(single["first"], single.flaw, strict=True)
     ]
     print(
         single.groupby(["scenes", "base", "against", "pairs"])
@@ -588,7 +617,13 @@ def tables(rows):
         for name, mean, low, high in row.causes:
             if truth is not None and name in FLAWS[row.flaw][0]:
                 errors.append(
-                    (row.base, row.against, row.pairs, abs(mean / truth - 1), low <= truth <= high)
+                    (
+                        row.base,
+                        row.against,
+                        row.pairs,
+                        abs(mean / truth - 1),
+                        low <= truth <= high,
+                    )
                 )
     errors = pd.DataFrame(
         errors, columns=["base", "against", "pairs", "relative error", "interval holds"]
@@ -620,7 +655,9 @@ def tables(rows):
             ["scenes", "base", "flaw", "named"]
         ].to_string()
     )
-    print("\nany cause named: healthy (other noise and loss than the base), repeated (the same)")
+    print(
+        "\nany cause named: healthy (other noise and loss than the base), repeated (the same)"
+    )
     again = frame[frame.kind.isin(["healthy", "repeated"])]
     is_named = again.assign(named=again.named.str.len() > 0)
     print(
@@ -645,7 +682,9 @@ if __name__ == "__main__":
         "--out", type=Path, default=Path(".cache/diagnosis"), help="results; resumed"
     )
     parser.add_argument("--mixed", type=int, default=N_MIXED, help="mixtures of two flaws")
-    parser.add_argument("--healthy", type=int, default=N_HEALTHY, help="healthy re-measurements")
+    parser.add_argument(
+        "--healthy", type=int, default=N_HEALTHY, help="healthy re-measurements"
+    )
     parser.add_argument(
         "--kinds", nargs="*", help="only these: single, mixture, unknown, healthy, repeated"
     )
@@ -658,7 +697,11 @@ if __name__ == "__main__":
         help="single flaws in these amounts only",
     )
     parser.add_argument(
-        "--pairs", nargs="*", type=int, default=[5, 10], help="diagnoses of these numbers of pairs"
+        "--pairs",
+        nargs="*",
+        type=int,
+        default=[5, 10],
+        help="diagnoses of these numbers of pairs",
     )
     parser.add_argument("--every-pair", type=int, default=1, help="take each n-th pair")
     parser.add_argument(

@@ -59,7 +59,9 @@ def shares(rng, n):
 DISTRIBUTIONS = {
     "normal": (correlated, 0.0),
     "skewed scores": (
-        lambda rng, n: (stats.expon.ppf(shares(rng, n)) - stats.expon.ppf(shares(rng, n))) / 2**0.5,
+        lambda rng, n: (
+            (stats.expon.ppf(shares(rng, n)) - stats.expon.ppf(shares(rng, n))) / 2**0.5
+        ),
         0.0,
     ),
     "heavy tails (t, 3 degrees)": (lambda rng, n: stats.t.ppf(shares(rng, n), 3) / 3**0.5, 0.0),
@@ -166,7 +168,9 @@ def measure_draws(args):
     """Rows of `pairs` for 8 draws of each simulated scan; those in the CSV file are kept."""
     rows = pd.read_csv(args.out).to_dict("records") if args.out.exists() else []
     done = {(row["pair"], row["draw"]) for row in rows}
-    datasets = [(folder.name, pair) for folder in args.draws for pair in read_dataset(folder).pairs]
+    datasets = [
+        (folder.name, pair) for folder in args.draws for pair in read_dataset(folder).pairs
+    ]
     tasks = [
         (f"{name}/{own.pair_id}", i, own.real, own.sim)
         for name, own in datasets
@@ -217,7 +221,8 @@ def of_runs(args):
     ):
         if couples:
             print_rate(
-                words, [compare_runs(both, independent=independent)[0].decision for both in couples]
+                words,
+                [compare_runs(both, independent=independent)[0].decision for both in couples],
             )
 
 

@@ -98,7 +98,10 @@ def find_car(points):
     road_m = road_height(points)
     height_m = points[:, 2] - road_m
     near = points[
-        ~is_ground(points) & (height_m > -0.5) & (height_m < 2.5) & (np.hypot(*points.T[:2]) < 22)
+        ~is_ground(points)
+        & (height_m > -0.5)
+        & (height_m < 2.5)
+        & (np.hypot(*points.T[:2]) < 22)
     ]
     links = cKDTree(near).query_pairs(0.35, output_type="ndarray")
     graph = coo_matrix((np.ones(len(links)), links.T), shape=(len(near), len(near)))
@@ -163,7 +166,11 @@ def ghosts(scan, rng):
     while len(clusters) < n_clusters:
         surface = scan.points[rng.integers(len(scan.points))]
         centre = surface * rng.uniform(0.2, 0.9)
-        if tree.query(centre)[0] > 1.5 and centre[2] > road_m + 0.8 and ranges(centre[None])[0] > 4:
+        if (
+            tree.query(centre)[0] > 1.5
+            and centre[2] > road_m + 0.8
+            and ranges(centre[None])[0] > 4
+        ):
             clusters.append(centre + rng.normal(0, 0.2, (20, 3)))
     return np.vstack([scan.points, *clusters])
 
@@ -188,7 +195,9 @@ def solid_foliage(scan, rng):
     is_leaf = (spread[:, 0] > 0.1 * spread[:, 2]) & (distance[:, -1] < 2) & ~is_ground(points)
     directions = points / range_m[:, None]
     angle, around = cKDTree(directions).query(directions, k=16)
-    is_leaf_near = is_leaf[around] & (angle < np.radians(2)) & (range_m[around] <= range_m[:, None])
+    is_leaf_near = (
+        is_leaf[around] & (angle < np.radians(2)) & (range_m[around] <= range_m[:, None])
+    )
     is_hull = is_leaf_near & (range_m[around] >= range_m[:, None] - 3) & is_leaf[:, None]
     is_before = is_leaf_near & (range_m[around] < range_m[:, None] - 0.5)
     shadowed = is_before.sum(axis=1) >= 0.5 * (angle < np.radians(2)).sum(axis=1)

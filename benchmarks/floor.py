@@ -30,7 +30,9 @@ REPEATS = 3
 
 def main(dataset, every):
     print(machine())
-    repeats = REPEATS * every  # smaller pairs take less time, and the noise of a start would show
+    repeats = (
+        REPEATS * every
+    )  # smaller pairs take less time, and the noise of a start would show
     with scratch() as folder:
         if every > 1:
             dataset = thinned(dataset, every, folder / "thinned")
@@ -39,14 +41,18 @@ def main(dataset, every):
         pairs = sorted(path.stem for path in (out / "metrics").glob("*.parquet"))
         floors = {pair: floor(out, pair) for pair in pairs}
         size_mb = (
-            sum(path.stat().st_size for path in out.rglob("*") if path.is_file()) / 1e6 / len(pairs)
+            sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
+            / 1e6
+            / len(pairs)
         )
         again = repeated(dataset, repeats * len(pairs), folder / "again")
         more = weigh("run", again, "--out", folder / "more", "--workers", 2, "--from", "ground")
         timings = pd.read_parquet(folder / "floor" / "timings.parquet")
         timings_of_more = pd.read_parquet(folder / "more" / "timings.parquet")
     total = sum(floors.values())
-    print("floor by pair: " + ", ".join(f"{pair} {value:.1f}" for pair, value in floors.items()))
+    print(
+        "floor by pair: " + ", ".join(f"{pair} {value:.1f}" for pair, value in floors.items())
+    )
     print(f"floor {total:.1f} s; the command on two workers:")
     print(f"  CPU  {whole.cpu_s:.1f} s, {whole.cpu_s / total:.2f} times the floor")
     print(f"  wall {whole.wall_s:.1f} s, {whole.wall_s / total:.2f} times the floor")

@@ -33,7 +33,9 @@ def fields_of(scan):
 
 def sources(folder):
     """The scans of a folder; of a bag of ROS 2 its folder and the file in it."""
-    return [path for path in sorted(folder.rglob("*")) if scan_ref(path).suffix not in ("", ".csv")]
+    return [
+        path for path in sorted(folder.rglob("*")) if scan_ref(path).suffix not in ("", ".csv")
+    ]
 
 
 def main(folder):
@@ -59,7 +61,9 @@ def main(folder):
             fields_of(scan),
         ]
         print(
-            "|", " | ".join(map(str, [*columns, f"{sum(seconds) / len(seconds):.3f}", listed])), "|"
+            "|",
+            " | ".join(map(str, [*columns, f"{sum(seconds) / len(seconds):.3f}", listed])),
+            "|",
         )
 
 

@@ -64,7 +64,8 @@ def again(points, seed=0):
 
 def lumpi(folder):
     return [
-        np.fromfile(path, "<f4").reshape(-1, 3).astype(float) for path in sorted(folder.iterdir())
+        np.fromfile(path, "<f4").reshape(-1, 3).astype(float)
+        for path in sorted(folder.iterdir())
     ]
 
 
@@ -98,7 +99,8 @@ def sequence(data, step):
 def streets(seed, n, sensor="vlp32c"):
     pairs = (make_pair(seed, i, SENSORS[sensor]) for i in range(n))
     return [
-        (pair.real.rows[:, :3].astype(float), pair.sim.rows[:, :3].astype(float)) for pair in pairs
+        (pair.real.rows[:, :3].astype(float), pair.sim.rows[:, :3].astype(float))
+        for pair in pairs
     ]
 
 
@@ -171,7 +173,9 @@ def places(data):
         f"lifts of {LIFTS_M} m: the printed heights differ by at most {1e3 * np.ptp(errors) / 2:.0f} mm per pair"
     )
     print(f"in feet: {sum(in_feet)} of {len(in_feet)} recognised")
-    same = {name: [(real, flaw(sim, rng)) for real, sim in twins] for name, flaw in FLAWS.items()}
+    same = {
+        name: [(real, flaw(sim, rng)) for real, sim in twins] for name, flaw in FLAWS.items()
+    }
     same["rellis"] = [(finite(os1), finite(vlp) @ T[:, :3].T + T[:, 3])]
     same["kitti_sequence, neighbours"] = sequence(data, 1)
     same["synth"] = streets(0, 12)

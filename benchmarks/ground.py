@@ -32,7 +32,9 @@ SCANS = (
 GROUNDS = {
     "as is": lambda points: points,
     "every 8th row": lambda points: points[::8],
-    "stripes 0.15 m lower": lambda points: points - np.outer(points[:, 0] // 6 % 2, [0, 0, 0.15]),
+    "stripes 0.15 m lower": lambda points: (
+        points - np.outer(points[:, 0] // 6 % 2, [0, 0, 0.15])
+    ),
     "crest of 10 %": lambda points: points - np.outer(abs(points[:, 0]), [0, 0, 0.1]),
 }
 LIFTS_M = (0.0, -0.5, -0.3, -0.2, -0.1, 0.1, 0.2, 0.3, 0.5)
@@ -45,7 +47,10 @@ def main() -> None:
     )
     parser.add_argument("data", type=Path)
     parser.add_argument(
-        "--scores", action="append", default=[], help="also scores of scans with this in their name"
+        "--scores",
+        action="append",
+        default=[],
+        help="also scores of scans with this in their name",
     )
     args = parser.parse_args()
     settings = load(None, preset="reference")
@@ -96,7 +101,10 @@ def main() -> None:
                     ).summary
                     print(
                         f"peak {peak}:",
-                        *(f"{key} {scores[key]:.3f}" for key in ("covered_real_0p3m", "cdc_mean")),
+                        *(
+                            f"{key} {scores[key]:.3f}"
+                            for key in ("covered_real_0p3m", "cdc_mean")
+                        ),
                     )
 
 

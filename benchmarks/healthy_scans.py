@@ -118,7 +118,12 @@ if __name__ == "__main__":
         for case, causes in zip(cases, pool.map(evaluate, cases), strict=True):
             n_clean += not causes
             print(
-                case.sensor, f"{case.ray} rays", case.number, causes or "-", sep=" | ", flush=True
+                case.sensor,
+                f"{case.ray} rays",
+                case.number,
+                causes or "-",
+                sep=" | ",
+                flush=True,
             )
     print(
         f"no cause and nothing unexplained: {n_clean} of {len(cases)}, {n_clean / len(cases):.1%}"

@@ -94,7 +94,10 @@ class Harmed:
         self._every_s = seconds_between_kills
         with errors.open("w") as file:
             self.process = subprocess.Popen(
-                [FIDPIPE, *map(str, words)], stdout=subprocess.DEVNULL, stderr=file, env=environment
+                [FIDPIPE, *map(str, words)],
+                stdout=subprocess.DEVNULL,
+                stderr=file,
+                env=environment,
             )
             self.begun = time.time()
             self._begun = time.monotonic()
@@ -120,7 +123,9 @@ class Harmed:
             command = psutil.Process(self.process.pid)
             family = command.children(recursive=True)
             workers = [member for member in family if member.ppid() != command.pid]
-            sizes = {member.pid: member.memory_info().rss / MIB for member in (command, *family)}
+            sizes = {
+                member.pid: member.memory_info().rss / MIB for member in (command, *family)
+            }
         except psutil.NoSuchProcess:
             return []
         if not sizes[command.pid]:  # it has ended
@@ -150,7 +155,9 @@ def judge(out, listed, poisoned):
         "failed": len(failed),
         "neither": len(rows) - len(pairs),
         "poison that was scored": sorted(set(poisoned) & set(scored.index)),
-        "others that failed": {name: failed[name] for name in failed.index if name not in poisoned},
+        "others that failed": {
+            name: failed[name] for name in failed.index if name not in poisoned
+        },
         "rows unlike their first like": int(differs.sum()),
         "reasons": {kind: failed.get(name) for kind, name in first_of_kind.items()},
     }
@@ -214,7 +221,11 @@ def main(n_pairs=5000, points=300, seconds_between_kills=60, figure=None):
         size = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
         left = [str(path) for path in out.rglob(".*") if path.name not in (".lock", ".writer")]
         status = subprocess.run(
-            [FIDPIPE, "status", out], env=environment, capture_output=True, text=True, check=False
+            [FIDPIPE, "status", out],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
         )
         begun = time.monotonic()
         again = subprocess.run(

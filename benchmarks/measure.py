@@ -71,9 +71,14 @@ def repeated(dataset, n_pairs, out):
     if listed.exists():
         rows = pd.read_csv(listed)
     else:
-        names = sorted(path.name for path in (dataset / "real").iterdir() if path.suffix == ".bin")
+        names = sorted(
+            path.name for path in (dataset / "real").iterdir() if path.suffix == ".bin"
+        )
         rows = pd.DataFrame(
-            {"real": [f"real/{name}" for name in names], "sim": [f"sim/{name}" for name in names]}
+            {
+                "real": [f"real/{name}" for name in names],
+                "sim": [f"sim/{name}" for name in names],
+            }
         )
     rows = pd.concat([rows] * -(-n_pairs // len(rows)), ignore_index=True).head(n_pairs)
     rows["pair_id"] = [f"{i:06d}" for i in range(n_pairs)]
@@ -87,7 +92,9 @@ def repeated(dataset, n_pairs, out):
 def machine():
     """One line on the machine."""
     model = (
-        next((of for of in _cpuinfo() if of.startswith("model name")), "").partition(":")[2].strip()
+        next((of for of in _cpuinfo() if of.startswith("model name")), "")
+        .partition(":")[2]
+        .strip()
     )
     return (
         f"{model or platform.processor()}, {os.cpu_count()} cores, {psutil.virtual_memory().total / 2**30:.0f} GiB, "
@@ -112,7 +119,9 @@ def _watch(process, peaks, seconds):
             return
         for member in family:
             try:
-                peaks[member.pid] = max(peaks.get(member.pid, 0), member.memory_info().rss / MIB)
+                peaks[member.pid] = max(
+                    peaks.get(member.pid, 0), member.memory_info().rss / MIB
+                )
                 times = member.cpu_times()
                 seconds[member.pid] = times.user + times.system
             except psutil.Error:

@@ -56,21 +56,37 @@ NONE = "none"
 OWN = (
     *("match_rate", "cdc_mean", "r_lambda_mean", "r_gap_mean", "eigenspectrum_distance_mean"),
     *("centroid_distance_m_mean", "n_not_found", "n_extra"),
-    *(f"covered_{side}_{reach}" for side in ("real", "sim") for reach in ("0p1m", "0p3m", "1m")),
+    *(
+        f"covered_{side}_{reach}"
+        for side in ("real", "sim")
+        for reach in ("0p1m", "0p3m", "1m")
+    ),
     *("shift_x_m", "shift_y_m", "shift_z_m", "shift_m", "roughness_bias_m", "roughness_area_m"),
 )
 
 
 def tasks(datasets, flaws):
     """One for each pair, flaw, amount and preset."""
-    wanted = [(NONE, 0.0), *((name, float(amount)) for name in flaws for amount in AMOUNTS[name])]
+    wanted = [
+        (NONE, 0.0),
+        *((name, float(amount)) for name in flaws for amount in AMOUNTS[name]),
+    ]
     for folder in datasets:
         for pair in read_dataset(folder).pairs:
             if pair.T_real_sim is not None:
-                raise SystemExit(f"{folder}, pair {pair.pair_id}: T_real_sim is not supported here")
+                raise SystemExit(
+                    f"{folder}, pair {pair.pair_id}: T_real_sim is not supported here"
+                )
             for flaw, amount in wanted:
                 for preset in PRESETS:
-                    yield f"{folder.name}/{pair.pair_id}", flaw, amount, preset, pair.real, pair.sim
+                    yield (
+                        f"{folder.name}/{pair.pair_id}",
+                        flaw,
+                        amount,
+                        preset,
+                        pair.real,
+                        pair.sim,
+                    )
 
 
 def scored(name, flaw, amount, preset, real, sim, every):
@@ -170,7 +186,9 @@ def table(found):
 
 
 def _cell(rows):
-    return ", ".join(f"{row.score} {row.t:.1f} ({_count(row.pairs)})" for row in rows.itertuples())
+    return ", ".join(
+        f"{row.score} {row.t:.1f} ({_count(row.pairs)})" for row in rows.itertuples()
+    )
 
 
 def core_table(found):
@@ -210,7 +228,9 @@ def draw(found, path):
         len(PRESETS), 1, figsize=(11, 7.5), sharex=True, layout="constrained"
     )
     for axis, preset in zip(axes, PRESETS, strict=True):
-        own = strongest[strongest.preset == preset].pivot(index="flaw", columns="score", values="t")
+        own = strongest[strongest.preset == preset].pivot(
+            index="flaw", columns="score", values="t"
+        )
         values = own.reindex(index=flaws, columns=scores).to_numpy(dtype=float)
         image = axis.imshow(
             np.clip(values, -10, 10), cmap="RdBu_r", vmin=-10, vmax=10, aspect="auto"
@@ -218,7 +238,9 @@ def draw(found, path):
         for (i, j), value in np.ndenumerate(values):
             if abs(value) >= 2.3:
                 colour = "white" if abs(value) > 6 else "black"
-                axis.text(j, i, f"{value:.0f}", ha="center", va="center", fontsize=6, color=colour)
+                axis.text(
+                    j, i, f"{value:.0f}", ha="center", va="center", fontsize=6, color=colour
+                )
         if (unknown := np.flatnonzero(np.isnan(values).all(axis=0))).size:
             axis.text(
                 unknown.mean(),
@@ -227,7 +249,9 @@ def draw(found, path):
                 ha="center",
                 fontsize=8,
             )
-        axis.set_yticks(range(len(flaws)), [f"{n} {max(AMOUNTS[n]):g}" for n in flaws], fontsize=8)
+        axis.set_yticks(
+            range(len(flaws)), [f"{n} {max(AMOUNTS[n]):g}" for n in flaws], fontsize=8
+        )
         axis.set_title(f"preset {preset}", fontsize=10, loc="left")
     axes[-1].set_xticks(range(len(scores)), scores, rotation=60, ha="right", fontsize=7)
     bar = figure.colorbar(image, ax=axes, shrink=0.6, extend="both")

@@ -53,7 +53,9 @@ def effect_size(change: FloatArray) -> float | None:
     degrees = len(own) - 1
     if t is None or degrees < 2:
         return None
-    correction = np.exp(gammaln(degrees / 2) - gammaln((degrees - 1) / 2)) / np.sqrt(degrees / 2)
+    correction = np.exp(gammaln(degrees / 2) - gammaln((degrees - 1) / 2)) / np.sqrt(
+        degrees / 2
+    )
     return float(correction * t / np.sqrt(len(own)))
 
 

@@ -80,7 +80,9 @@ def main():
         scores[name, ""] = score_rays(base)
         kept = real[random(name, "loss").random(len(real)) >= 0.03]
         best_case = find_rays(
-            real, ray_noise(0.02)(Scan(kept, car, poles), random(name, "noise")), (sensor, sensor)
+            real,
+            ray_noise(0.02)(Scan(kept, car, poles), random(name, "noise")),
+            (sensor, sensor),
         )
         for which, rays in (("twin", base), ("best case", best_case)):
             bands[which].append(by_range(rays))

@@ -45,7 +45,9 @@ class Server:
         os.environ.update({"AWS_ALLOW_HTTP": "true", "FIDPIPE_CACHE": str(folder / "cache")})
         if "AWS_ENDPOINT_URL" in os.environ:
             return
-        self._process = subprocess.Popen([sys.executable, "-c", SERVER], stderr=self._log.open("w"))
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", SERVER], stderr=self._log.open("w")
+        )
         os.environ.update(
             {
                 **{"AWS_ENDPOINT_URL": f"http://127.0.0.1:{PORT}", "AWS_REGION": "us-east-1"},
@@ -103,7 +105,9 @@ def pair_of_runs(server, folder, dataset, url, name):
         f"  requests {dict(used)}; {len(stored)} objects, {sum(one.size for one in stored) / 1e6:.1f} MB written"
     )
     peaks = [f"{of:.0f}" for of in (local.peaks[0], remote.peaks[0])]
-    print(f"  peak memory of the command: {peaks[0]} MiB local, {peaks[1]} MiB remote", flush=True)
+    print(
+        f"  peak memory of the command: {peaks[0]} MiB local, {peaks[1]} MiB remote", flush=True
+    )
 
 
 def on_a_cluster(server, folder, url):
@@ -155,7 +159,9 @@ def main(dataset, n_small=1000, points=300):
             remote = folder / "remote"
             remote.mkdir()
             text = (listed / "pairs.csv").read_text()
-            (remote / "pairs.csv").write_text(text.replace(str(small.resolve()), f"{URL}/small"))
+            (remote / "pairs.csv").write_text(
+                text.replace(str(small.resolve()), f"{URL}/small")
+            )
             pair_of_runs(server, folder, listed, remote, f"small{n_small}")
         finally:
             server.end()

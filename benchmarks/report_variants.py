@@ -114,7 +114,9 @@ def each_twice(apart_m):
     """Second returns, at the same place or behind the first."""
 
     def repeat(points, rng):
-        behind = along_ray(points, ranges(points) + rng.exponential(apart_m, len(points)) + 1e-4)
+        behind = along_ray(
+            points, ranges(points) + rng.exponential(apart_m, len(points)) + 1e-4
+        )
         return np.concatenate([points, behind[ranges(points) > MIN_RANGE_M]])
 
     return repeat
@@ -274,7 +276,9 @@ def variants():
         "gaps of 2 deg in 20 directions, simulated": Variant(
             "", gaps(20, 2), allowed=("blind sector",)
         ),
-        "one point repeated, 10 %": Variant("one repeated point", repeated([-0.4, 0, 2.1], 0.1)),
+        "one point repeated, 10 %": Variant(
+            "one repeated point", repeated([-0.4, 0, 2.1], 0.1)
+        ),
     }
     found |= {
         "two even sweeps, sorted": Variant("finer sensor", even_sweeps(2, "azimuth")),
@@ -294,7 +298,9 @@ def variants():
     for number in range(12):
         share = (0.0, 0.1, 0.3, 0.5)[number % 4]
         allowed = ("lost returns",) if share else ()
-        found[f"healthy {number}, {share:.0%} lost"] = Variant("", lossy(share), allowed=allowed)
+        found[f"healthy {number}, {share:.0%} lost"] = Variant(
+            "", lossy(share), allowed=allowed
+        )
     orders = [(o, s) for o in permutations(range(3)) for s in product((1, -1), repeat=3)]
     for number in (5, 13, 22, 29, 38, 46):
         order, signs = orders[number]

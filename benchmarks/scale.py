@@ -49,7 +49,9 @@ async def serve(address, n_workers):
 
 def start(words, folder):
     """A process in whose output nobody is interested."""
-    return subprocess.Popen(words, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    return subprocess.Popen(
+        words, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
 
 
 def used(processes):
@@ -64,13 +66,22 @@ def main(n_pairs=320, seconds=16.0, n_workers=32):
     print(machine())
     os.environ["SLEEP_S"] = str(seconds / 2)
     stages = tuple(
-        replace(stage, make=sleeping_graph) if stage.name == "graph" else stage for stage in STAGES
+        replace(stage, make=sleeping_graph) if stage.name == "graph" else stage
+        for stage in STAGES
     )
     with scratch() as folder:
         weigh("synth", folder / "small", "--pairs", min(N_FILES, n_pairs), "--points", POINTS)
         listed = repeated(folder / "small", n_pairs, folder / "listed")
         file = folder / "scheduler.json"
-        options = ("--scheduler-file", file, "--host", "127.0.0.1", "--port", "0", "--no-dashboard")
+        options = (
+            "--scheduler-file",
+            file,
+            "--host",
+            "127.0.0.1",
+            "--port",
+            "0",
+            "--no-dashboard",
+        )
         scheduler = start([FIDPIPE.with_name("dask"), "scheduler", *options], folder)
         while not (file.exists() and file.read_text()):
             time.sleep(0.1)

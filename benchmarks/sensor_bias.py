@@ -75,7 +75,9 @@ def properties_table(scans, rng):
 def main(data):
     scans = {name: read_scan(data / name, None, {}).points for name in FILES}
     for sensor in STREETS:
-        scans[f"synth, {sensor}"] = make_pair(0, 3, SENSORS[sensor]).sim.rows[:, :3].astype(float)
+        scans[f"synth, {sensor}"] = (
+            make_pair(0, 3, SENSORS[sensor]).sim.rows[:, :3].astype(float)
+        )
     scans = {
         name: points[np.isfinite(points).all(axis=1) & points.any(axis=1)]
         for name, points in scans.items()

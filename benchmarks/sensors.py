@@ -137,7 +137,9 @@ OUT_OF_FRAME = {
     "upside down": turned(180, "x"),
     "1.7 m up": lambda points, rng: points + np.array([0, 0, 1.7]),
     "1 m ahead": lambda points, rng: points + np.array([1, 0, 0]),
-    "2 cm noise of each coordinate": lambda points, rng: points + rng.normal(0, 0.02, points.shape),
+    "2 cm noise of each coordinate": lambda points, rng: (
+        points + rng.normal(0, 0.02, points.shape)
+    ),
 }
 
 
@@ -193,7 +195,9 @@ def recordings(data):
             seconds = time.perf_counter() - start
             count(facts, counts[pattern], truth)
             share = "-" if facts.lost_share is None else f"{100 * facts.lost_share:.0f}"
-            quantum = "-" if facts.range_quantum_m is None else f"{1e3 * facts.range_quantum_m:g}"
+            quantum = (
+                "-" if facts.range_quantum_m is None else f"{1e3 * facts.range_quantum_m:g}"
+            )
             noise = "-" if facts.range_noise_m is None else f"{1e3 * facts.range_noise_m:.0f}"
             name = path.relative_to(data)
             step = "-" if facts.azimuth_step_deg is None else f"{facts.azimuth_step_deg:.3f}"
@@ -207,7 +211,12 @@ def recordings(data):
 def main(data, seed):
     recordings(data)
     rng = np.random.default_rng(seed)
-    by_sensor, harmless, out_of_frame, unknown = no_counts(), no_counts(), no_counts(), no_counts()
+    by_sensor, harmless, out_of_frame, unknown = (
+        no_counts(),
+        no_counts(),
+        no_counts(),
+        no_counts(),
+    )
     measured = defaultdict(list)
     for model in SENSORS.values():
         for index in range(3):

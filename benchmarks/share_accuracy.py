@@ -55,7 +55,9 @@ def solid(share):
 def share_early(scene, before, after, amount):
     """Share of the rays into real foliage next to a simulated return that was moved."""
     real = scene[1].points[leaves(scene[1].points)]
-    angle, near = fs.cKDTree(before / ranges(before)[:, None]).query(real / ranges(real)[:, None])
+    angle, near = fs.cKDTree(before / ranges(before)[:, None]).query(
+        real / ranges(real)[:, None]
+    )
     return (ranges(after - before) > 0.5)[near[angle < np.radians(0.4)]].mean()
 
 
@@ -116,10 +118,14 @@ def rows(folder):
         for name, (make, amounts, true_share) in FLAWS.items():
             for amount in amounts:
                 flaw = [(f"{name} {amount}", make(amount))]
-                pairs = [estimated(pair_of(scene, altered(scene, base, flaw))) for scene in scenes]
+                pairs = [
+                    estimated(pair_of(scene, altered(scene, base, flaw))) for scene in scenes
+                ]
                 truths = []
                 for scene, pair in zip(scenes, pairs, strict=True):
-                    truths.append(true_share(scene, scene[2][base], pair.scans.sim.points, amount))
+                    truths.append(
+                        true_share(scene, scene[2][base], pair.scans.sim.points, amount)
+                    )
                 truth = np.mean(truths)
                 after = values_of(pairs)
                 mean = change_of(name, before[name], after[name], {}).mean()
@@ -131,7 +137,15 @@ def rows(folder):
 
 
 if __name__ == "__main__":
-    columns = ["cause", "base", "amount", "truth", "estimate", "relative error", "interval holds"]
+    columns = [
+        "cause",
+        "base",
+        "amount",
+        "truth",
+        "estimate",
+        "relative error",
+        "interval holds",
+    ]
     table = pd.DataFrame([*rows(Path(sys.argv[1]))], columns=columns)
     print(table.round(4).to_string(index=False))
     table["relative error"] = table["relative error"].abs()

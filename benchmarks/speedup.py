@@ -66,7 +66,8 @@ def largest_difference(a, b):
 
 def steps(seconds):
     return ", ".join(
-        f"{name} {value:.1f}" for name, value in sorted(seconds.items(), key=lambda step: -step[1])
+        f"{name} {value:.1f}"
+        for name, value in sorted(seconds.items(), key=lambda step: -step[1])
     )
 
 

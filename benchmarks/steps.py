@@ -41,7 +41,8 @@ def main(dataset):
         weigh("run", dataset, "--out", out, "--workers", 2)
         pairs = sorted(path.stem for path in (out / "metrics").glob("*.parquet"))
         sides = {
-            pair: {side: read_side(out, pair, side) for side in ("real", "sim")} for pair in pairs
+            pair: {side: read_side(out, pair, side) for side in ("real", "sim")}
+            for pair in pairs
         }
         laplacians = []
         aligned = []

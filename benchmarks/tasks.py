@@ -238,7 +238,10 @@ FLAWS = {
     "motion distortion, m/s": ((5, 10, 20), motion),
     "rain, points": ((50, 100, 200), rain),
     "maximum range, m": ((50, 30, 20), range_limit),
-    "minimum range, m": ((5, 8, 12), lambda a: keep(lambda scan, rng: ranges(scan.points) >= a)),
+    "minimum range, m": (
+        (5, 8, 12),
+        lambda a: keep(lambda scan, rng: ranges(scan.points) >= a),
+    ),
     "highest elevation, degrees": (
         (0, -2, -5),
         lambda a: keep(lambda scan, rng: elevation_deg(scan) <= a),
@@ -247,7 +250,10 @@ FLAWS = {
     "mixed pixels at edges, share": ((0.01, 0.03, 0.1), lambda a: mixed(a, at_edges=True)),
     "solid foliage, share": ((0.3, 0.6, 1), solid),
     "blind sector, degrees": ((20, 57, 114), lambda a: of_points(blind(40, 40 + a))),
-    "second returns, share": ((0.05, 0.1, 0.2), lambda a: of_points(with_second_returns(a, 1, 3))),
+    "second returns, share": (
+        (0.05, 0.1, 0.2),
+        lambda a: of_points(with_second_returns(a, 1, 3)),
+    ),
     "jitter of angles, degrees": ((0.05, 0.15, 0.3), lambda a: of_points(jittering(a))),
     "elevations too large, share": ((0.01, 0.02, 0.05), lambda a: of_points(stretched(a))),
     "dead beams": ((2, 6, 12), lambda a: of_points(dead(a))),
@@ -521,7 +527,9 @@ def print_correlations(table, base):
     cells = {}
     for score in SCORES:
         for task in tasks:
-            values[score, task], (low, high), without[score, task] = correlation(table, score, task)
+            values[score, task], (low, high), without[score, task] = correlation(
+                table, score, task
+            )
             cells[score, task] = f"{values[score, task]:.2f} ({low:.2f} to {high:.2f})"
         print_row(score, *(cells[score, task] for task in tasks))
     print()
@@ -562,7 +570,9 @@ def print_thresholds(table, real):
 def print_bases(cells_of):
     """Correlations of all bases next to each other, task by task, from those of each base."""
     for task in TASKS:
-        bases = [base for base, cells in cells_of.items() if any(name == task for _, name in cells)]
+        bases = [
+            base for base, cells in cells_of.items() if any(name == task for _, name in cells)
+        ]
         print_row(task, *bases)
         print_row(*["---"] * (len(bases) + 1))
         for score in SCORES:

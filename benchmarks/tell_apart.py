@@ -80,7 +80,8 @@ def real_against_real(name, scans):
         show(f"{name}, {which}", compare_samples(*both, features_of(both[0])))
         with patch.object(classifier, "GUARD_DEG", 0.0):
             show(
-                f"{name}, {which}, without the margin", compare_samples(*both, features_of(both[0]))
+                f"{name}, {which}, without the margin",
+                compare_samples(*both, features_of(both[0])),
             )
 
 
@@ -124,9 +125,18 @@ def main():
     args = parser.parse_args()
     print("| real against real | AUC | 95 % interval | folds |\n|---|---|---|---|")
     for name, paths in (
-        ("HDL-64E, ten frames of a drive", sorted((args.data / "kitti_sequence").glob("*.bin"))),
-        ("HDL-64E, five frames of a drive", sorted((args.data / "kitti_twin/real").glob("*.bin"))),
-        ("VLP-32C, parked, four sweeps", frames_of(args.data / "velodyne_vlp32c/sweeps.pcap")[:4]),
+        (
+            "HDL-64E, ten frames of a drive",
+            sorted((args.data / "kitti_sequence").glob("*.bin")),
+        ),
+        (
+            "HDL-64E, five frames of a drive",
+            sorted((args.data / "kitti_twin/real").glob("*.bin")),
+        ),
+        (
+            "VLP-32C, parked, four sweeps",
+            frames_of(args.data / "velodyne_vlp32c/sweeps.pcap")[:4],
+        ),
     ):
         real_against_real(name, [read_scan(path).points for path in paths])
     names = []
@@ -150,7 +160,9 @@ def main():
         scans["good"].append(
             Scan(ray_noise(0.02)(Scan(kept, car, poles), random(name, "noise")), car, poles)
         )
-    print("\n| real against itself re-measured | AUC | 95 % interval | folds |\n|---|---|---|---|")
+    print(
+        "\n| real against itself re-measured | AUC | 95 % interval | folds |\n|---|---|---|---|"
+    )
     whole = sample([cleaned(cloud) for cloud in full])
     for name, (noise_m, lost) in MILD.items():
         again = [
@@ -178,9 +190,9 @@ def main():
             drawn = sample(sims)
             found = compare_samples(real_sample, drawn, features_of(real_sample))
             surface = compare_samples(real_sample, drawn, classifier.FAMILIES["surface"])
-            table = pd.DataFrame([scores(*pair) for pair in zip(reals, sims, strict=True)]).astype(
-                float
-            )
+            table = pd.DataFrame(
+                [scores(*pair) for pair in zip(reals, sims, strict=True)]
+            ).astype(float)
             row = f"| {flaw} | {found.auc:.3f} | {surface.auc:.3f} |"
             if before is None:
                 before = found, table

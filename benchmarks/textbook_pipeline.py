@@ -48,7 +48,9 @@ def evaluate(real, sim, labels=None):
     members = {}
     centroids = {}
     for side in points:
-        members[side] = [np.flatnonzero(labels[side] == i) for i in range(labels[side].max() + 1)]
+        members[side] = [
+            np.flatnonzero(labels[side] == i) for i in range(labels[side].max() + 1)
+        ]
         centroids[side] = [points[side][rows].mean(axis=0) for rows in members[side]]
     rows = []
     for i, j, distance in match(centroids["real"], centroids["sim"]):

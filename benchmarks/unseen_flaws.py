@@ -206,7 +206,9 @@ def run_of(args, base, flaw):
 
 
 def fidpipe(*words):
-    done = subprocess.run([FIDPIPE, *map(str, words)], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [FIDPIPE, *map(str, words)], capture_output=True, text=True, check=False
+    )
     if done.returncode not in (0, 4):
         raise SystemExit(
             f"fidpipe {' '.join(map(str, words))}: exit {done.returncode}\n{done.stderr[-2000:]}"
@@ -217,13 +219,19 @@ def fidpipe(*words):
 def evaluate(args, base, flaw):
     """First causes of a run, without and with gains, and the headline of its comparison with the base."""
     run = run_of(args, base, flaw)
-    fidpipe("run", dataset(args, base, flaw), "--preset", "reference", "--out", run, "--workers", 1)
+    fidpipe(
+        "run", dataset(args, base, flaw), "--preset", "reference", "--out", run, "--workers", 1
+    )
     named = json.loads((run / "run.json").read_text())["overview"]["causes"]
     diagnosed = diagnose_run(run, Reporter()).causes
     headline = "-"
     if flaw != NONE:
         headline = fidpipe("compare", run_of(args, base, NONE), run).strip().splitlines()[0]
-    return named[0]["words"] if named else "-", diagnosed[0].words if diagnosed else "-", headline
+    return (
+        named[0]["words"] if named else "-",
+        diagnosed[0].words if diagnosed else "-",
+        headline,
+    )
 
 
 if __name__ == "__main__":

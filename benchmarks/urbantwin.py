@@ -63,7 +63,8 @@ def contest(real, sim):
         "MMD": kernel[0, 0] + kernel[1, 1] - 2 * kernel[0, 1],
         "EMD": float(ot.emd2([], [], cdist(a, b), numItermax=10**8)),
         "FPD": float(
-            ((a.mean(axis=0) - b.mean(axis=0)) ** 2).sum() + np.trace(A + B - 2 * sqrtm(A @ B).real)
+            ((a.mean(axis=0) - b.mean(axis=0)) ** 2).sum()
+            + np.trace(A + B - 2 * sqrtm(A @ B).real)
         ),
     }
     kept = [
@@ -176,7 +177,8 @@ def main():
         np.random.default_rng(i).normal(means, stds, (len(own), 3)) for i, own in enumerate(sim)
     ]
     show(
-        "Gaussian cloud of the real moments", [list(contest(real[i], blob[i]).values()) for i in n]
+        "Gaussian cloud of the real moments",
+        [list(contest(real[i], blob[i]).values()) for i in n],
     )
 
     print("\nbest of 117 starts: covered 0.3 m, x y z (m), yaw (deg)")
@@ -187,7 +189,10 @@ def main():
             round(float(np.degrees(np.arctan2(one[1, 0], one[0, 0]))), 2),
         )
     print("\n| static surface over 1 m | covered 0.1 m | 0.3 m | 1 m |\n|---|---|---|---|")
-    show("real, by the other real frames", [covered(fixed[i], real[:i] + real[i + 1 :]) for i in n])
+    show(
+        "real, by the other real frames",
+        [covered(fixed[i], real[:i] + real[i + 1 :]) for i in n],
+    )
     for name, twin in twins.items():
         show(f"real, by the {name}", [covered(fixed[i], twin) for i in n])
         show(f"{name}, by the real frames", [covered(static(twin, i), real) for i in n])

@@ -37,4 +37,6 @@ def misalign_beams(points, std_deg, rng):
     return directions * np.where(slides, slid_m, range_m)[:, None]
 
 
-BEAMS = Flaw("std of each beam's elevation error, degrees", 10, misalign_beams, is_systematic=True)
+BEAMS = Flaw(
+    "std of each beam's elevation error, degrees", 10, misalign_beams, is_systematic=True
+)

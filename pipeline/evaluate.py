@@ -123,7 +123,9 @@ def evaluate_pair(
     scans = {"real": _scan("real", real, settings), "sim": _scan("sim", sim, settings)}
     with one_blas_thread():
         pair = ScanPair(_PAIR, None, None)
-        tables, outputs = run_in_memory(stages_under(settings), settings, pair=pair, scans=scans)
+        tables, outputs = run_in_memory(
+            stages_under(settings), settings, pair=pair, scans=scans
+        )
     check = outputs["sensor", "sim"][FRAMES]
     if check is not None and check["is_suspect"]:
         warnings.warn(frame_warning(FrameCheck(**check)), stacklevel=2)

@@ -19,7 +19,9 @@ from .storage.table_files import JobRecord
 _WORDS = {"real": {"real"}, "sim": {"sim", "simulated", "simulation"}}
 
 
-def inspection_of(jobs: Iterable[JobRecord]) -> tuple[dict[str, ScanInspection], FrameCheck | None]:
+def inspection_of(
+    jobs: Iterable[JobRecord],
+) -> tuple[dict[str, ScanInspection], FrameCheck | None]:
     """Inspection results in the finished jobs of a pair: by side, and of both scans together."""
     sides = {}
     frames = None
@@ -93,7 +95,9 @@ def frame_warning(suspect: FrameSuspect | FrameCheck) -> str:
         )
     condition = ""
     if "input.real_frame" in suspect.setting:
-        condition = ", if the real scans have these axes: directions, roll and pitch follow from it"
+        condition = (
+            ", if the real scans have these axes: directions, roll and pitch follow from it"
+        )
     return (
         f"the simulated scan covers {suspect.as_it_lies:.2f} of the real one as given and "
         f"{suspect.coverage:.2f} {suspect.reading}; is it in another frame? set {suspect.setting}"

@@ -50,7 +50,9 @@ def run(
     source, folder = dataset_and_run(
         Path(dataset), Path(sim) if sim else None, Path(out) if out else None
     )
-    run_dataset(source, folder, _settings(preset, settings), Reporter(), machines=Machines(workers))
+    run_dataset(
+        source, folder, _settings(preset, settings), Reporter(), machines=Machines(workers)
+    )
     return open_run(folder)
 
 

@@ -257,7 +257,9 @@ class Run:
                 remove_stale(self.stale, self.folder, self.reporter, changes)
             if self.todo:
                 self.n_workers = schedule.pool.n_workers
-            self.reporter.warn(*large_pairs_warnings(self.todo, self.contents, self.settings.input))
+            self.reporter.warn(
+                *large_pairs_warnings(self.todo, self.contents, self.settings.input)
+            )
             yield schedule
 
     def _hash_files(self) -> None:
@@ -272,7 +274,9 @@ class Run:
         for pair in self.dataset.pairs:
             contents = self.contents.get(pair.pair_id)
             if contents is not None:
-                self.hashes[pair.pair_id] = input_hashes(pair, self.dataset.label_names, contents)
+                self.hashes[pair.pair_id] = input_hashes(
+                    pair, self.dataset.label_names, contents
+                )
 
     def _survey_results(self, from_stage: str | None) -> None:
         """Find pairs with jobs to do, and results that are stale.

@@ -152,7 +152,9 @@ RAY_MEANS = tuple(
     if name not in ("n_rays", "rays_bias_low_m", "rays_bias_high_m")
 )
 #: Object scores with mean and standard deviation in `pairs`, in that order.
-OBJECT_METRICS = tuple(name for name in scores_of("object") if "no-mean" not in METRIC[name].flags)
+OBJECT_METRICS = tuple(
+    name for name in scores_of("object") if "no-mean" not in METRIC[name].flags
+)
 #: Object scores whose distributions over all objects a run reports.
 DISTRIBUTED = ("cdc", "r_lambda", "r_gap")
 #: Limits of the quadrants of the report, by fidpipe, not by the paper; a limit itself belongs to the better quadrant.

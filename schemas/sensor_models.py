@@ -56,7 +56,8 @@ def _read_sensors() -> Iterator[SensorModel]:
     for name, values in read_data("sensor_models").items():
         blocks = values.pop("uniform", [])
         elevation = values.pop(
-            "elevation_deg", [angle for block in blocks for angle in np.linspace(*block).tolist()]
+            "elevation_deg",
+            [angle for block in blocks for angle in np.linspace(*block).tolist()],
         )
         offset = islice(cycle(values.pop("azimuth_offset_deg", [0.0])), len(elevation))
         yield SensorModel(name, tuple(elevation), tuple(offset), **values)

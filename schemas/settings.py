@@ -46,7 +46,9 @@ FRAME_AXES: dict[FrameName, str] = {
 class _Group(BaseModel):
     """Settings of a stage; the docstring has the description of each."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True
+    )
 
     @classmethod
     def __pydantic_init_subclass__(cls, **_: Any) -> None:
@@ -93,7 +95,9 @@ def _check_columns(value: tuple[str, ...]) -> tuple[str, ...]:
 
 def _check_box(value: Box) -> Box:
     if any(value[i] >= value[i + 3] for i in range(3)):
-        raise ValueError("expected each minimum below its maximum (xmin ymin zmin xmax ymax zmax)")
+        raise ValueError(
+            "expected each minimum below its maximum (xmin ymin zmin xmax ymax zmax)"
+        )
     return value
 
 
@@ -444,7 +448,9 @@ def load(
     for word in assignments:
         assignment = re.fullmatch(r"\s*(\w+)\.(\w+)\s*=(.*)", word, re.DOTALL)
         if not assignment:
-            raise SettingsError(f"--set {word!r}: expected GROUP.NAME=VALUE, such as graph.k=60")
+            raise SettingsError(
+                f"--set {word!r}: expected GROUP.NAME=VALUE, such as graph.k=60"
+            )
         group, setting, text = assignment.groups()
         table = values.setdefault(group, {})
         if not isinstance(table, dict):

@@ -106,4 +106,6 @@ def allowed(schema: dict[str, Any]) -> str:
         "maximum": "at most",
         "exclusiveMaximum": "below",
     }
-    return ", ".join(f"{words} {kind[name]:.10g}" for name, words in bounds.items() if name in kind)
+    return ", ".join(
+        f"{words} {kind[name]:.10g}" for name, words in bounds.items() if name in kind
+    )

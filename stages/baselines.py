@@ -24,7 +24,9 @@ from .reference import visiting_order
 from .selection import Selection
 
 _SEED = 0  # of samples
-_MAX_PIVOTS = 10**12  # of the network simplex; far more than it needs, so that it always converges
+_MAX_PIVOTS = (
+    10**12
+)  # of the network simplex; far more than it needs, so that it always converges
 # Range images of LiDAR4D: rows and columns, degrees from the upper edge to the horizon and to the lower edge, range
 _IMAGE_ROWS, _IMAGE_COLUMNS = 66, 1030
 _IMAGE_UP_DEG, _IMAGE_DEG = 2.0, 26.9
@@ -237,7 +239,9 @@ def histogram(real: FloatArray, sim: FloatArray, settings: MetricsSettings) -> B
         largest = distance.max(initial=0.0)
         if largest == 0:
             return _without_value("a side has no two points apart from each other", "histogram")
-        counts, _ = np.histogram(distance / largest, bins=settings.histogram_bins, range=(0.0, 1.0))
+        counts, _ = np.histogram(
+            distance / largest, bins=settings.histogram_bins, range=(0.0, 1.0)
+        )
         shares.append(counts / len(distance))
     distance = np.linalg.norm(shares[0] - shares[1], settings.histogram_order)
     return (Baseline("histogram", float(distance)),)

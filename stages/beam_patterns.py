@@ -59,7 +59,9 @@ class BeamPattern:
 
     def beam_of(self, points: FloatArray) -> tuple[IndexArray, FloatArray]:
         """Beam of each point, (n,) intp, -1 for none; and the elevation above it, (n,) degrees."""
-        elevation = elevation_of_points(points, self.origin_height_m, self.block_deg, self.focal_m)
+        elevation = elevation_of_points(
+            points, self.origin_height_m, self.block_deg, self.focal_m
+        )
         middle = (self.elevation_deg[1:] + self.elevation_deg[:-1]) / 2
         beam = np.searchsorted(middle, elevation)
         reach = np.minimum(2 * self.width_deg, 0.4 * _spacing(self.elevation_deg))
@@ -123,7 +125,9 @@ def _find_from(focal_m: float, points: FloatArray, ring: IntArray | None) -> Bea
         is_in = np.minimum(apart, 360.0 - apart) < _SECTOR_DEG / 2
         if is_in.sum() >= 1000:
             patterns.append(_read(tangent[is_in], nearness[is_in]))
-    candidates = [pattern for pattern in patterns if pattern and pattern.explained >= _RECOGNISABLE]
+    candidates = [
+        pattern for pattern in patterns if pattern and pattern.explained >= _RECOGNISABLE
+    ]
     for pattern in sorted(candidates, key=attrgetter("explained"), reverse=True):
         if recognise(pattern).title:
             return replace(pattern, is_sharp=False)
@@ -204,10 +208,12 @@ class _Fit(NamedTuple):
 
 def _disagreement(sensor: SensorModel, step_deg: float | None, quantum_m: float | None) -> str:
     """Reason why a step or quantum is not the sensor's, or ""."""
-    if quantum_m and sensor.range_quantum_m and abs(quantum_m / sensor.range_quantum_m - 1.0) > 0.1:
-        return (
-            f"its range quantum is {1e3 * sensor.range_quantum_m:g} mm, not {1e3 * quantum_m:g} mm"
-        )
+    if (
+        quantum_m
+        and sensor.range_quantum_m
+        and abs(quantum_m / sensor.range_quantum_m - 1.0) > 0.1
+    ):
+        return f"its range quantum is {1e3 * sensor.range_quantum_m:g} mm, not {1e3 * quantum_m:g} mm"
     columns = step_deg / sensor.column_deg if step_deg and sensor.column_deg else 1.0
     if abs(columns - max(1, round(columns))) > _STEP_TOLERANCE * columns:
         return f"its azimuth steps are multiples of {sensor.column_deg:.3g} degrees, not {step_deg:.3f}"
@@ -224,7 +230,9 @@ def _tables() -> Iterator[tuple[str, FloatArray, SensorModel]]:
                 yield f"every second beam of {sensor.title}", table[first::2], sensor
 
 
-def _fit(observed: FloatArray, table: FloatArray, unit_deg: float, pattern: BeamPattern) -> float:
+def _fit(
+    observed: FloatArray, table: FloatArray, unit_deg: float, pattern: BeamPattern
+) -> float:
     """Quality of fit of beams to a table: mean closeness times the share of the table that is detected; 0 if no fit."""
     exact_deg = np.minimum(max(_EXACT_DEG, pattern.width_deg), _FIT * _spacing(table))
     score = _score(observed, table, exact_deg, 0.95, 0.9)
@@ -364,7 +372,9 @@ def _elevation_of_beams(
     return np.degrees(np.arctan(tangent - height * nearness))
 
 
-def _origin_heights(tangent: FloatArray, nearness: FloatArray) -> tuple[tuple[float, ...], float]:
+def _origin_heights(
+    tangent: FloatArray, nearness: FloatArray
+) -> tuple[tuple[float, ...], float]:
     """Heights of the beams' origin above the frame's origin, () for 0; and the elevation between two blocks."""
     density, below = _densities(tangent, nearness)
     lower = np.cumsum(density, axis=1) / len(tangent)
@@ -429,7 +439,9 @@ def _peaks(count: IndexArray, width_deg: float) -> IndexArray:
     sigma = width_deg / _BIN_DEG
     smooth = scipy.ndimage.gaussian_filter1d(count.astype(float), sigma, mode="constant")
     smooth = smooth * np.sqrt(2 * np.pi) * sigma
-    peaks, shape = scipy.signal.find_peaks(smooth, height=_MIN_RETURNS, prominence=_MIN_RETURNS / 2)
+    peaks, shape = scipy.signal.find_peaks(
+        smooth, height=_MIN_RETURNS, prominence=_MIN_RETURNS / 2
+    )
     return peaks[shape["prominences"] > 0.5 * smooth[peaks]]
 
 

@@ -117,7 +117,9 @@ def _louvain(adjacency: scipy.sparse.csr_matrix) -> IntArray:
         _, labels = np.unique(labels, return_inverse=True)
         community = labels[community]
         starts = np.arange(n + 1, dtype=np.int32)
-        membership = scipy.sparse.csr_matrix((np.ones(n, bool), labels.astype(np.int32), starts))
+        membership = scipy.sparse.csr_matrix(
+            (np.ones(n, bool), labels.astype(np.int32), starts)
+        )
         adjacency = membership.T.tocsr() @ (adjacency @ membership)
         weights = membership.T @ weights
         if adjacency.shape[0] == 1 or gain <= _TOLERANCE_AGGREGATION:

@@ -41,7 +41,9 @@ def nearest_distances(real: FloatArray, sim: FloatArray) -> tuple[FloatArray, Fl
     return to_sim, to_real
 
 
-def below_cut(points: FloatArray, axis: FloatArray, threshold_m: float | None) -> BoolArray | None:
+def below_cut(
+    points: FloatArray, axis: FloatArray, threshold_m: float | None
+) -> BoolArray | None:
     """True for points of a side below the other side's ground threshold, (n,) bool; None if that side has no threshold.
 
     p . axis < threshold. Road that one side's cut removed and the other's kept remains as objects (defined by fidpipe).

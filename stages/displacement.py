@@ -131,7 +131,10 @@ class _Fit:
     seam_deg: float
 
     def steps(
-        self, values: FloatArray, reaches_m: Sequence[float], prior: FloatArray = _WITHOUT_TURNING
+        self,
+        values: FloatArray,
+        reaches_m: Sequence[float],
+        prior: FloatArray = _WITHOUT_TURNING,
     ) -> FloatArray | None:
         """Better parameters after a step with each reach; None if too few planes have any points within."""
         for reach_m in reaches_m:

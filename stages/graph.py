@@ -28,7 +28,9 @@ def graph_of(points: FloatArray, settings: GraphSettings) -> Subgraph:
     points : (n, 3) float64, metres
     """
     edges = build_graph(points, settings)
-    return Subgraph(np.arange(len(points), dtype=np.int32), points, adjacency(len(points), edges))
+    return Subgraph(
+        np.arange(len(points), dtype=np.int32), points, adjacency(len(points), edges)
+    )
 
 
 def build_graph(points: FloatArray, settings: GraphSettings) -> Edges:
@@ -165,7 +167,9 @@ def _matrix_of(neighbours: IntArray, is_chosen: BoolArray) -> scipy.sparse.csr_m
     return scipy.sparse.csr_matrix((np.ones(len(ends), bool), ends, starts), shape=(n, n))
 
 
-def _pairs_within(points: FloatArray, chosen: IndexArray, tau_m: float) -> scipy.sparse.csr_matrix:
+def _pairs_within(
+    points: FloatArray, chosen: IndexArray, tau_m: float
+) -> scipy.sparse.csr_matrix:
     """Pairs of chosen points at most tau apart, (n, n) CSR bool, smaller index in the row.
 
     The points are taken in tiles along the longest axis, each with those that follow within tau.
@@ -197,7 +201,9 @@ def _pairs_within(points: FloatArray, chosen: IndexArray, tau_m: float) -> scipy
     return pairs
 
 
-def _distance(points: FloatArray, src: NDArray[np.integer], dst: NDArray[np.integer]) -> FloatArray:
+def _distance(
+    points: FloatArray, src: NDArray[np.integer], dst: NDArray[np.integer]
+) -> FloatArray:
     """|x_src - x_dst| in a fixed order of operations, so that ties are exact; symmetric to the last bit."""
     squared = np.zeros(len(src))
     for axis in points.T:

@@ -97,7 +97,9 @@ def remove_ground(
     height = points @ axis
     is_ground, threshold_m, loss, iterations = _cut(points, height, peak_m, settings, shared)
     if shared and real_points is not None:
-        is_ground |= _on_real_road(points, height - peak_m, shared, real_points, settings.prior_m)
+        is_ground |= _on_real_road(
+            points, height - peak_m, shared, real_points, settings.prior_m
+        )
     n_left = int((~is_ground).sum())
     if n_left < MIN_OBJECT_POINTS:
         raise StageError(
@@ -283,7 +285,9 @@ def _patchwork(points: FloatArray, peak_m: float) -> BoolArray:
     parameters.verbose = False
     with _quiet_stdout():  # it prints a message in spite of `verbose`
         estimator = pypatchworkpp.patchworkpp(parameters)
-    estimator.estimateGround(np.column_stack([points, np.zeros(len(points))]).astype(np.float32))
+    estimator.estimateGround(
+        np.column_stack([points, np.zeros(len(points))]).astype(np.float32)
+    )
     is_ground = np.zeros(len(points), dtype=bool)
     is_ground[np.asarray(estimator.getGroundIndices(), dtype=int)] = True
     return is_ground

@@ -152,7 +152,9 @@ def _match_moved(missing: Objects, invented: Objects) -> tuple[IndexArray, Index
     """Ids, (m,) and (m,), of missing and invented pieces that are each other's nearest of similar size."""
     tree = scipy.spatial.cKDTree(missing.centroid)
     other = scipy.spatial.cKDTree(invented.centroid)
-    near = tree.sparse_distance_matrix(other, MOVED_WITHIN_M + _ROUNDING_M, output_type="ndarray")
+    near = tree.sparse_distance_matrix(
+        other, MOVED_WITHIN_M + _ROUNDING_M, output_type="ndarray"
+    )
     i = near["i"]
     j = near["j"]
     apart_m = np.round(near["v"], _ROUNDED_DIGITS)

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from .arrays import BoolArray, FloatArray, IndexArray
 from .matching import most_pairs
 
-SAME_WITHIN_M = 2.0  #: boxes of one class are the same at this distance of their centres, or nearer
+SAME_WITHIN_M = (
+    2.0  #: boxes of one class are the same at this distance of their centres, or nearer
+)
 
 
 @dataclass(frozen=True)

@@ -200,7 +200,9 @@ def _compare_ranges(
         NONE,
     )
     incidence_deg = np.degrees(np.arccos(np.minimum(cosine, 1.0)))
-    return Rays(beam, column, real_row, sim_row, outcome, real_range_m, sim_range_m, incidence_deg)
+    return Rays(
+        beam, column, real_row, sim_row, outcome, real_range_m, sim_range_m, incidence_deg
+    )
 
 
 def score_rays(rays: Rays, is_in: BoolArray | slice = slice(None)) -> dict[str, Number]:
@@ -338,7 +340,9 @@ def _partners(a: _Side, b: _Side) -> IndexArray:
     near = near[order]
     partner = np.full(len(a.points), -1)
     is_taken = np.zeros(len(b.points), dtype=bool)
-    while len(row):  # a pair that comes first for both of its returns is the nearest pair of both
+    while len(
+        row
+    ):  # a pair that comes first for both of its returns is the nearest pair of both
         first = np.flatnonzero(_is_first(row, len(partner)) & _is_first(near, len(is_taken)))
         partner[row[first]] = near[first]
         is_taken[near[first]] = True
@@ -393,7 +397,9 @@ def _without_finer(rows: IndexArray, side: _Side, other: _Side) -> IndexArray:
     around = [other.width / _SQUEEZE, 0.0]
     tree = scipy.spatial.cKDTree(other.place / near_rows, boxsize=around, balanced_tree=False)
     place = side.place[rows]
-    distance, near = tree.query(place / near_rows, _CANDIDATES, distance_upper_bound=_LEAST_ROWS)
+    distance, near = tree.query(
+        place / near_rows, _CANDIDATES, distance_upper_bound=_LEAST_ROWS
+    )
     is_there = np.isfinite(distance)
     near = np.where(is_there, near, 0)
     azimuth = side.across(other.place[near, 0] - place[:, :1])

@@ -55,7 +55,9 @@ def select_nodes(
     sim_nodes = _most_influential(sim_influence, n_keep)
     with watch("alignment"):
         sim_nodes = sim_nodes[align_nodes(real.points[real_nodes], sim.points[sim_nodes])]
-    return Selection(real_nodes, sim_nodes, real_influence[real_nodes], sim_influence[sim_nodes])
+    return Selection(
+        real_nodes, sim_nodes, real_influence[real_nodes], sim_influence[sim_nodes]
+    )
 
 
 def _influence(graph: Subgraph, settings: SelectionSettings, watch: Watch) -> FloatArray:

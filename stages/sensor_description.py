@@ -38,7 +38,13 @@ from .trust import (
 )
 
 #: Columns of table `sensor` that `pairs` has for both sides.
-_PAIR_COLUMNS = ("n_beams", "azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share")
+_PAIR_COLUMNS = (
+    "n_beams",
+    "azimuth_step_deg",
+    "range_quantum_m",
+    "range_noise_m",
+    "lost_share",
+)
 #: Title, factor and text of the properties that may be undetermined.
 _PROPERTIES = {
     "azimuth_step_deg": ("azimuth step", 1.0, "{:.3f} degrees"),
@@ -50,7 +56,22 @@ _PROPERTIES = {
 }
 _MIN_POINTS = 500
 _HOLE = 5  # pulses that a gap within a surface may lack, at most
-_QUANTA_M = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.008, 0.005, 0.004, 0.003, 0.002, 0.001, 0.0005)
+_QUANTA_M = (
+    1.0,
+    0.5,
+    0.2,
+    0.1,
+    0.05,
+    0.02,
+    0.01,
+    0.008,
+    0.005,
+    0.004,
+    0.003,
+    0.002,
+    0.001,
+    0.0005,
+)
 _QUANTUM_RANGE_M = 30.0
 _LEAST_STEP_DEG = 0.02
 _NEXT_STEPS = 1.45  # farthest next firing
@@ -173,7 +194,9 @@ def describe_with_gaps(
         sensor.doubts[MISSES] = misses
         rows = rows[range_m <= limit_m]
     if len(rows) < _MIN_POINTS:
-        sensor.untold["elevation_deg"] = f"{len(rows)} returns, at least {_MIN_POINTS} are needed"
+        sensor.untold["elevation_deg"] = (
+            f"{len(rows)} returns, at least {_MIN_POINTS} are needed"
+        )
         return sensor, NO_GAPS
     points = points[rows]
     slope_deg = slopes_deg(points)
@@ -210,7 +233,10 @@ def _describe_beams(
         noise = _range_noise(sweep, step)
         n_firings = _surface_firings(sweep, step)
         before = np.flatnonzero(n_firings > 1)
-        gaps = np.column_stack([sweep.row[before], sweep.row[before + 1]]), n_firings[before] - 1
+        gaps = (
+            np.column_stack([sweep.row[before], sweep.row[before + 1]]),
+            n_firings[before] - 1,
+        )
         estimates |= {
             "firing_deg": _firing_deg(sweep, step),
             "range_noise_m": noise,
@@ -280,7 +306,8 @@ def sensor_row(sensor: SensorDescription) -> dict[str, Any]:
         "highest_deg": max(sensor.elevation_deg, default=None),
         "origin_height_m": height_m if sensor.elevation_deg else None,
         **{name: getattr(sensor, name) for name in _PROPERTIES},
-        "reason": "; ".join(f"{name}: {reason}" for name, reason in sensor.untold.items()) or None,
+        "reason": "; ".join(f"{name}: {reason}" for name, reason in sensor.untold.items())
+        or None,
         "doubts": "\n".join(sensor.doubts.values()) or None,
     }
 
@@ -385,7 +412,9 @@ def _range_quantum(sweep: Sweep, rounding_m: float) -> float | str:
 
     def is_multiple(quantum: float) -> bool:
         n_quanta = range_m / quantum
-        turn = (2 * np.pi * (n_quanta - np.floor(n_quanta))).astype(np.float32)  # cosines are fast
+        turn = (2 * np.pi * (n_quanta - np.floor(n_quanta))).astype(
+            np.float32
+        )  # cosines are fast
         length = np.hypot(np.bincount(beam, np.cos(turn)), np.bincount(beam, np.sin(turn)))
         return bool(length[used].sum() / n_returns[used].sum() >= 0.7)
 
@@ -404,9 +433,7 @@ def _range_noise(sweep: Sweep, step_deg: float) -> float | str:
         place = azimuth_deg - azimuth_deg.mean(axis=1, keepdims=True)
         runs = runs[:, None]
     if len(runs) < _FEWEST_RUNS:
-        return (
-            f"{len(runs)} runs of {_RUN} returns on a surface, at least {_FEWEST_RUNS} are needed"
-        )
+        return f"{len(runs)} runs of {_RUN} returns on a surface, at least {_FEWEST_RUNS} are needed"
     basis = np.linalg.qr(np.stack([np.ones_like(place), place, place**2], axis=-1))[0]
     fit = runs @ basis @ np.swapaxes(basis, -1, -2)
     rms = np.sqrt(((runs - fit) ** 2).sum(axis=-1) / (_RUN - 3))

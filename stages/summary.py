@@ -70,7 +70,9 @@ def summarise_dataset(
     return summary
 
 
-def with_unmatched_as_worst(mean: Number, n: int, n_unmatched: int, worst: float) -> float | None:
+def with_unmatched_as_worst(
+    mean: Number, n: int, n_unmatched: int, worst: float
+) -> float | None:
     """Mean of a pair over n objects, with its unmatched objects counted as worst; None without objects.
 
     A mean over matched objects only improves if the hardest objects are lost; this one does not.

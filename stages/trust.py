@@ -287,7 +287,9 @@ def sweeps_text(sweep: Sweep) -> str | None:
     return None
 
 
-def image_text(azimuth_deg: FloatArray, step_deg: float, elevation_deg: FloatArray) -> str | None:
+def image_text(
+    azimuth_deg: FloatArray, step_deg: float, elevation_deg: FloatArray
+) -> str | None:
     """The doubt that a scan was projected to a range image and back; None if it was not.
 
     Azimuths are then at the centres of the columns of a whole circle, and elevations are multiples of one step apart.

@@ -43,7 +43,9 @@ def start_browser(profile):
 def open_page(browser, path, fragment=""):
     browser.get(path.as_uri() + fragment)
     wait_for(browser, "return document.documentElement.dataset.ready === 'yes'")
-    browser.execute_script("document.getElementById('scene')?.scrollIntoView({block: 'center'})")
+    browser.execute_script(
+        "document.getElementById('scene')?.scrollIntoView({block: 'center'})"
+    )
     wait_for(
         browser,
         "const viewer = document.getElementById('viewer'); return !viewer || viewer.hidden || "

@@ -24,7 +24,10 @@ REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 def pytest_addoption(parser):
     parser.addoption(
-        "--slice", type=int, metavar="DAY", help=f"one of {N_SLICES} parts of the exhaustive tests"
+        "--slice",
+        type=int,
+        metavar="DAY",
+        help=f"one of {N_SLICES} parts of the exhaustive tests",
     )
     parser.addoption(
         "--minutes", type=float, metavar="N", help="skip the tests that have not begun by then"

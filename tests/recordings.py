@@ -13,7 +13,14 @@ _PACKETS = {
 
 
 FIELDS = np.dtype(
-    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("t", "<u4")]
+    [
+        ("x", "<f4"),
+        ("y", "<f4"),
+        ("z", "<f4"),
+        ("intensity", "<f4"),
+        ("ring", "<u2"),
+        ("t", "<u4"),
+    ]
 )
 
 
@@ -129,14 +136,23 @@ def write_pcap(path, packets):
         )
         frame = bytes(12) + b"\x08\x00" + ip
         content += (
-            struct.pack("<IIII", int(stamp), round(stamp % 1 * 1e6), len(frame), len(frame)) + frame
+            struct.pack("<IIII", int(stamp), round(stamp % 1 * 1e6), len(frame), len(frame))
+            + frame
         )
     path.write_bytes(content)
     return path
 
 
 def write_las(
-    path, points, intensity=0, classes=0, *, version="1.4", point_format=6, scale=0.001, offset=0.0
+    path,
+    points,
+    intensity=0,
+    classes=0,
+    *,
+    version="1.4",
+    point_format=6,
+    scale=0.001,
+    offset=0.0,
 ):
     """A LAS file, or LAZ by its suffix."""
     import laspy
@@ -146,7 +162,9 @@ def write_las(
     header.offsets = np.broadcast_to(offset, 3)
     las = laspy.LasData(header)
     las.x, las.y, las.z = points.T
-    las.intensity, las.classification = np.broadcast_arrays(intensity, classes, points[:, 0])[:2]
+    las.intensity, las.classification = np.broadcast_arrays(intensity, classes, points[:, 0])[
+        :2
+    ]
     las.write(path)
     return path
 
@@ -175,7 +193,9 @@ def carla_ply(points, columns):
 
 def columns_of(scan):
     """The columns of a scan, bit by bit."""
-    columns = {name: np.asarray(own) for name, own in vars(scan).items() if name != "label_names"}
+    columns = {
+        name: np.asarray(own) for name, own in vars(scan).items() if name != "label_names"
+    }
     return {name: (own.dtype, own.shape, own.tobytes()) for name, own in columns.items()}
 
 
@@ -189,7 +209,11 @@ def write_foxglove(path, scans, encoding="protobuf"):
     messages = {
         "Time": [("seconds", "int64"), ("nanos", "int32")],
         "PackedElementField": [("name", "string"), ("offset", "fixed32"), ("type", "int32")],
-        "PointCloud": [("timestamp", ".foxglove.Time"), ("frame_id", "string"), ("pose", "bytes")]
+        "PointCloud": [
+            ("timestamp", ".foxglove.Time"),
+            ("frame_id", "string"),
+            ("pose", "bytes"),
+        ]
         + [
             ("point_stride", "fixed32"),
             ("fields", ".foxglove.PackedElementField"),
@@ -210,7 +234,9 @@ def write_foxglove(path, scans, encoding="protobuf"):
                 added.type_name = kind
     pool = descriptor_pool.DescriptorPool()
     pool.Add(file)
-    PointCloud = message_factory.GetMessageClass(pool.FindMessageTypeByName("foxglove.PointCloud"))
+    PointCloud = message_factory.GetMessageClass(
+        pool.FindMessageTypeByName("foxglove.PointCloud")
+    )
     schema = descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString()
     with path.open("wb") as stream:
         writer = Writer(stream)

@@ -136,7 +136,9 @@ def some_of(values, always):
 
 def tables(run_folder):
     """Every table of a run by its relative path, but for the timings."""
-    files = sorted(path for folder in FOLDERS for path in (run_folder / folder).glob("*.parquet"))
+    files = sorted(
+        path for folder in FOLDERS for path in (run_folder / folder).glob("*.parquet")
+    )
     files.append(run_folder / "pairs.parquet")
     return {str(path.relative_to(run_folder)): pq.read_table(path) for path in files}
 
@@ -168,7 +170,10 @@ def files_in(folder):
 
 def copied(dataset, out, folder):
     """Copies of a dataset and of its run, whose record names the copy."""
-    data, own = shutil.copytree(dataset, folder / "streets"), shutil.copytree(out, folder / "run")
+    data, own = (
+        shutil.copytree(dataset, folder / "streets"),
+        shutil.copytree(out, folder / "run"),
+    )
     record = json.loads((own / "run.json").read_text()) | {"dataset": str(data)}
     (own / "run.json").write_text(json.dumps(record))
     return data, own
@@ -209,7 +214,9 @@ def job_of_file(store, name):
     """The finished job that wrote a file of a run."""
     ledger = store.ledger
     records = (
-        record for pair_id in ("", *ledger.pair_ids()) for record in ledger.jobs(pair_id).values()
+        record
+        for pair_id in ("", *ledger.pair_ids())
+        for record in ledger.jobs(pair_id).values()
     )
     return next(record for record in records if name in record.files)
 

@@ -15,7 +15,8 @@ from recordings import cloud, write_bag, write_las, write_pcap
 COLUMNS = ("x", "y", "z", "intensity")
 #: A few points that every format holds without rounding.
 POINTS = np.array(
-    [[1.5, -2.25, 0.5, 7], [4, 5, 6, 8], [-7, 8, 9.125, 9], [3, 3, 3, 1], [10, 0, -1.5, 2]], "<f4"
+    [[1.5, -2.25, 0.5, 7], [4, 5, 6, 8], [-7, 8, 9.125, 9], [3, 3, 3, 1], [10, 0, -1.5, 2]],
+    "<f4",
 )
 
 
@@ -38,7 +39,9 @@ def write_ply(path, rows, encoding):
 
 
 def write_frame(path, rows, height=1, packed=None):
-    records = np.ascontiguousarray(rows, "<f4").view([(name, "<f4") for name in COLUMNS]).ravel()
+    records = (
+        np.ascontiguousarray(rows, "<f4").view([(name, "<f4") for name in COLUMNS]).ravel()
+    )
     write_bag(
         path, [("/points", 10**9, lambda types: cloud(types, records, height=height))], packed
     )

@@ -68,7 +68,9 @@ def extras(folder):
 def best_case(folder):
     """Three streets with their run, and their best case in `best_case`."""
     plain(folder)
-    run_best_case(folder / "streets", folder / "best_case", Settings(), QUIET, machines=Machines(1))
+    run_best_case(
+        folder / "streets", folder / "best_case", Settings(), QUIET, machines=Machines(1)
+    )
 
 
 SCENARIOS = {

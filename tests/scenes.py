@@ -100,7 +100,9 @@ def cloud(n=60, seed=0):
 
 def grid(*axes):
     """The points of a lattice."""
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float64)
+    return (
+        np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float64)
+    )
 
 
 def degenerate_scenes():
@@ -150,5 +152,8 @@ def degenerate_scenes():
         "two scales, 1 and 1e-200": (np.vstack([some, some * 1e-200]), some),
     }
     for exponent in (300, 40, 12, -10, -50, -162, -200, -310):
-        sides[f"a cloud times 1e{exponent}"] = (some * 10.0**exponent, some[:-9] * 10.0**exponent)
+        sides[f"a cloud times 1e{exponent}"] = (
+            some * 10.0**exponent,
+            some[:-9] * 10.0**exponent,
+        )
     return sides

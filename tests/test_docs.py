@@ -35,7 +35,9 @@ def test_the_snippets_of_results_run(report_run, tmp_path, monkeypatch, capsys):
         exec(code.replace('"0000"', ascii(first)), names)
     assert "r_lambda" in capsys.readouterr().out
     assert (
-        (tmp_path / "object.png").stat().st_size > 10_000 < (tmp_path / "pieces.png").stat().st_size
+        (tmp_path / "object.png").stat().st_size
+        > 10_000
+        < (tmp_path / "pieces.png").stat().st_size
     )
     assert names["result"].summary["status"] == "scored"
     ((_, query),) = blocks("results.md", "sql")
@@ -111,7 +113,9 @@ def test_the_snippets_of_how_do_i_run(report_run, tmp_path, monkeypatch):
     for _, code in blocks("how-do-i.md", "python"):
         exec(code, names)
     for written in ("0007.ply", "0007.pcd", "0007.parquet"):
-        np.testing.assert_allclose(fidpipe.read_scan(tmp_path / written).points, real, atol=1e-5)
+        np.testing.assert_allclose(
+            fidpipe.read_scan(tmp_path / written).points, real, atol=1e-5
+        )
     pairs = pd.DataFrame(fidpipe.open_run(report_run).scored)
     assert names["table"].mean().to_dict() == pytest.approx(
         dict.fromkeys(["build41", "build42"], pairs.cdc_mean.mean())
@@ -124,7 +128,8 @@ def test_the_intervals_of_the_tutorial_are_as_it_says(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = (DOCS / "tutorial.md").read_text("utf-8")
     assert (
-        "The interval of the range bias contains the 10 cm. That of the lost returns ends" in text
+        "The interval of the range bias contains the 10 cm. That of the lost returns ends"
+        in text
     )
     command("synth", "streets", "--pairs", 8, "--points", 6000, code=0)
     (change,) = [

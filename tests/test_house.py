@@ -54,7 +54,9 @@ def test_a_newcomer_follows_a_run_in_few_lines():
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_every_relative_link_of_a_page_leads_to_a_file(page):
-    links = re.findall(r"(?<![\"'])\]\((?!\w+:)([^)#\s]+)[^)]*\)", page.read_text(encoding="utf-8"))
+    links = re.findall(
+        r"(?<![\"'])\]\((?!\w+:)([^)#\s]+)[^)]*\)", page.read_text(encoding="utf-8")
+    )
     assert not [link for link in links if not (page.parent / link).exists()]
 
 

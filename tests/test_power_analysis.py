@@ -26,7 +26,9 @@ def test_power_and_pairs_are_those_of_simulated_experiments(effect):
         change = rng.normal(effect, 1, (n, size))
         t = change.mean(axis=1) / change.std(axis=1, ddof=1) * size**0.5
         seen = np.mean(t**2 > paired_limit(size) ** 2)
-        assert power(effect, size) == pytest.approx(seen, abs=4 * (seen * (1 - seen) / n) ** 0.5)
+        assert power(effect, size) == pytest.approx(
+            seen, abs=4 * (seen * (1 - seen) / n) ** 0.5
+        )
 
 
 def paired_limit(n_pairs):
@@ -35,7 +37,8 @@ def paired_limit(n_pairs):
 
 
 @pytest.mark.parametrize(
-    ("effect", "wanted"), [(0.0, None), (1e-9, None), (0.2, 199), (0.5, 34), (0.8, 15), (1e9, 2)]
+    ("effect", "wanted"),
+    [(0.0, None), (1e-9, None), (0.2, 199), (0.5, 34), (0.8, 15), (1e9, 2)],
 )
 def test_pairs_needed_as_in_tables(effect, wanted):
     assert pairs_needed(effect) == pairs_needed(-effect) == wanted

@@ -22,7 +22,9 @@ def page(name):
 
 
 def test_every_stage_has_a_page_in_the_order_of_the_pipeline():
-    listed = re.search(r"```\{toctree\}\n:hidden:\n\n(.*?)```", page("index"), re.DOTALL)[1].split()
+    listed = re.search(r"```\{toctree\}\n:hidden:\n\n(.*?)```", page("index"), re.DOTALL)[
+        1
+    ].split()
     assert listed == STAGE_NAMES
     assert {path.stem for path in (DOCS / "stages").glob("*.md")} == {"index", *STAGE_NAMES}
 

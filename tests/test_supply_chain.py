@@ -44,7 +44,9 @@ def locked(name):
     """Version and hashes of each library of a lock, by name."""
     text = (HOUSE / name).read_text(encoding="utf-8")
     entries = re.findall(
-        r"^([\w.-]+)(?:\[.*?\])?==([^ \\;]+)(.*?)(?=^\w|\Z)", text, flags=re.MULTILINE | re.DOTALL
+        r"^([\w.-]+)(?:\[.*?\])?==([^ \\;]+)(.*?)(?=^\w|\Z)",
+        text,
+        flags=re.MULTILINE | re.DOTALL,
     )
     return {
         canonicalize_name(name): (version, re.findall(r"sha256:[0-9a-f]{64}", rest))
@@ -54,7 +56,10 @@ def locked(name):
 
 @pytest.mark.parametrize(
     ("file", "extras"),
-    [("requirements.lock", PROJECT["optional-dependencies"]), ("requirements-run.lock", ["all"])],
+    [
+        ("requirements.lock", PROJECT["optional-dependencies"]),
+        ("requirements-run.lock", ["all"]),
+    ],
 )
 def test_the_lock_has_each_requirement_with_a_version_that_fits_and_hashes(file, extras):
     versions = locked(file)
@@ -118,14 +123,34 @@ def all_commands(dataset):
     yield FIDPIPE, "run", dataset, "--out", "a", "--workers", "2"
     yield FIDPIPE, "synth", "made", "--pairs", "1"
     yield FIDPIPE, "check", dataset
-    yield FIDPIPE, "run", dataset, "--out", "b", "--workers", "1", "--set", "metrics.baselines=all"
+    yield (
+        FIDPIPE,
+        "run",
+        dataset,
+        "--out",
+        "b",
+        "--workers",
+        "1",
+        "--set",
+        "metrics.baselines=all",
+    )
     yield FIDPIPE, "report", "a"
     yield FIDPIPE, "compare", "a", "b", "--html", "compare.html", "--allow-different-settings"
     yield FIDPIPE, "show", "a", "000"
     yield FIDPIPE, "gate", "a", "--max", "cdc.mean=2"
     yield FIDPIPE, "export", "a", "--ply", "--mcap"
     yield FIDPIPE, "status", "a"
-    yield FIDPIPE, "best-case", dataset, "--out", "best_case", "--workers", "1", "--pairs", "000"
+    yield (
+        FIDPIPE,
+        "best-case",
+        dataset,
+        "--out",
+        "best_case",
+        "--workers",
+        "1",
+        "--pairs",
+        "000",
+    )
     yield (
         FIDPIPE,
         "perturb",

@@ -56,7 +56,12 @@ def make_crowds(inputs):
     n_points = np.bincount(values_of(inputs.table("communities", inputs.part), "community_id"))
     n_over = np.maximum(n_points - inputs.settings.toy.least_points, 0).astype(np.int32)
     ids = np.arange(len(n_over), dtype=np.int32)
-    rows = {"pair_id": inputs.pair_id, "side": inputs.part, "community_id": ids, "n_over": n_over}
+    rows = {
+        "pair_id": inputs.pair_id,
+        "side": inputs.part,
+        "community_id": ids,
+        "n_over": n_over,
+    }
     return JobResult(
         {"toy_crowds": CROWDS.build(rows)}, {"n_crowds": int(np.count_nonzero(n_over))}
     )
@@ -83,7 +88,9 @@ def make_marks(inputs):
     """A mark for each object, from its scores and the table of the pair."""
     ratio_of = inputs.memo(ratios, inputs.table("toy_ratios"))
     metrics = inputs.table("metrics")
-    own = metrics.filter(pc.is_in(metrics.column("real_id"), pa.array(inputs.objects, pa.int32())))
+    own = metrics.filter(
+        pc.is_in(metrics.column("real_id"), pa.array(inputs.objects, pa.int32()))
+    )
     rows = [
         {
             "pair_id": inputs.pair_id,
@@ -137,4 +144,10 @@ N_BEFORE_MATCHING = next(i for i, stage in enumerate(STAGES) if stage.grain is n
 
 def with_toys(of_side=OF_SIDE, of_pair=OF_PAIR, of_object=OF_OBJECT):
     """The pipeline with a toy of the sides before matching, and a toy of the pair and one of its objects at the end."""
-    return (*STAGES[:N_BEFORE_MATCHING], of_side, *STAGES[N_BEFORE_MATCHING:], of_pair, of_object)
+    return (
+        *STAGES[:N_BEFORE_MATCHING],
+        of_side,
+        *STAGES[N_BEFORE_MATCHING:],
+        of_pair,
+        of_object,
+    )

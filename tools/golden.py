@@ -40,11 +40,19 @@ def measure():
     rays = find_rays(real, sim, tuple(sensors))
     numbers = {
         "ground": [
-            [row[name] for name in row if "ground_" in name or name.endswith(("_raw", "_clean"))]
+            [
+                row[name]
+                for name in row
+                if "ground_" in name or name.endswith(("_raw", "_clean"))
+            ]
             for row in rows
         ],
         "sensor": [
-            [value for value in sensor_row(sensors[0]).values() if isinstance(value, int | float)]
+            [
+                value
+                for value in sensor_row(sensors[0]).values()
+                if isinstance(value, int | float)
+            ]
         ],
         "graph": frames["graph"]
         .groupby(["pair_id", "side"])[["src", "dst", "length_m"]]
@@ -54,7 +62,10 @@ def measure():
         "matching": frames["matching"][["real_id", "sim_id", "centroid_distance_m"]]
         .astype(float)
         .fillna(-1.0),
-        "coverage": frames["coverage"].drop(columns=["pair_id", "side"]).astype(float).fillna(-1.0),
+        "coverage": frames["coverage"]
+        .drop(columns=["pair_id", "side"])
+        .astype(float)
+        .fillna(-1.0),
         "surface": frames["surface"].drop(columns=["pair_id"]).astype(float).fillna(-1.0),
         "pieces": frames["pieces"]
         .drop(columns=["pair_id", "side", "label", "fate"])
@@ -65,7 +76,9 @@ def measure():
         "selection": frames["selection"]
         .groupby(["pair_id", "real_id"])[["real_influence", "sim_influence"]]
         .sum(),
-        "metrics": frames["metrics"].drop(columns=["pair_id", "status", "reason"]).astype(float),
+        "metrics": frames["metrics"]
+        .drop(columns=["pair_id", "status", "reason"])
+        .astype(float),
     }
     return {
         stage.name: {

@@ -71,7 +71,9 @@ NUMBERS = (
 def choose(matched, example):
     """The row of the object nearest to the value, of equally near ones the first, among those that can be drawn."""
     drawable = matched[matched.n_keep.between(FEWEST_NODES, MOST_NODES)]
-    drawable = drawable[drawable.alignment_rms_m.between(example.least_rms_m, example.most_rms_m)]
+    drawable = drawable[
+        drawable.alignment_rms_m.between(example.least_rms_m, example.most_rms_m)
+    ]
     drawable = drawable.assign(off=(drawable[example.score] - example.value).abs())
     return drawable.sort_values(["off", "pair_id", "real_id"]).iloc[0]
 
@@ -111,7 +113,9 @@ class MatchedObject:
             graph = Edges(*ends, edges.length_m.to_numpy())
             own_id = row[f"{side}_id"]
             community = points.community_id.to_numpy(np.int32)
-            own = split_by_community(ids, coordinates(points), graph, community, [own_id])[own_id]
+            own = split_by_community(ids, coordinates(points), graph, community, [own_id])[
+                own_id
+            ]
             self.graphs[side] = own
             self.nodes[side] = np.searchsorted(own.point_ids, kept[f"{side}_point_id"])
         flat = np.concatenate([graph.points for graph in self.graphs.values()])[:, :2]
@@ -181,7 +185,9 @@ def draw_structure(own, path):
 
         index = np.arange(1, len(shifts) + 1)
         for side, spectrum in spectra.items():
-            whole.plot(index, spectrum, color=SIDE_COLOURS[side], linewidth=1.4, label=WORDS[side])
+            whole.plot(
+                index, spectrum, color=SIDE_COLOURS[side], linewidth=1.4, label=WORDS[side]
+            )
         at = int(np.argmax(shifts))
         ends = sorted(spectrum[at] for spectrum in spectra.values())
         whole.vlines(at + 1, *ends, color="black", linewidth=1.2, zorder=3)
@@ -234,7 +240,9 @@ def draw_geometry(own, path):
             axis.set_title(between.join(title))
             style.dots(axes[2], own.seen(points[side]), 2.5, SIDE_COLOURS[side])
         axes[2].set_title(
-            between.join(["both as given,", "centroids", f"{row.centroid_distance_m:.2f} m apart"])
+            between.join(
+                ["both as given,", "centroids", f"{row.centroid_distance_m:.2f} m apart"]
+            )
         )
         left.colorbar(
             coloured,
@@ -272,7 +280,9 @@ def draw_geometry(own, path):
         far.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0))
         sum_so_far = 0.0
         for side in SIDES:
-            total.barh(0, costs[side].mean(), left=sum_so_far, color=SIDE_COLOURS[side], height=0.5)
+            total.barh(
+                0, costs[side].mean(), left=sum_so_far, color=SIDE_COLOURS[side], height=0.5
+            )
             sum_so_far += costs[side].mean()
         total.set(xlim=(0, 2), ylim=(-0.6, 0.6), yticks=[], xlabel="0: the same points; 2: nothing near",
                   title=f"CDC = {costs['real'].mean():.3f} (real) + {costs['sim'].mean():.3f} (simulated)"

@@ -178,7 +178,12 @@ def graph(axis, view):
     half = own.adjacency.tocoo()
     ends = np.column_stack([half.row, half.col])[half.row < half.col]
     shown = ends[:: len(ends) // 6000 + 1]
-    look = {"colors": SIDE_COLOURS["real"], "linewidths": 0.3, "alpha": 0.15, "rasterized": True}
+    look = {
+        "colors": SIDE_COLOURS["real"],
+        "linewidths": 0.3,
+        "alpha": 0.15,
+        "rasterized": True,
+    }
     axis.add_collection(LineCollection(places[shown], **look))
     node = int(np.argsort(places[:, 0])[len(places) // 2])
     around = own.adjacency[[node]].indices
@@ -212,7 +217,9 @@ def draw_graph(view, path):
         reach.axhline(Settings().graph.tau_m, color="black", linewidth=0.8)
         reach.text(reach.get_xlim()[1], Settings().graph.tau_m, "tau", va="bottom", ha="right")
         reach.set(
-            yscale="log", xlabel="distance from the sensor (m)", ylabel="longest edge of a node (m)"
+            yscale="log",
+            xlabel="distance from the sensor (m)",
+            ylabel="longest edge of a node (m)",
         )
         ticks = (0.1, 0.3, 1, 3, 10, 30)
         reach.set_yticks(ticks, map(str, ticks))
@@ -236,7 +243,9 @@ def communities(axis, view, side="real"):
 def draw_communities(view, path):
     """The objects of both sides."""
     with style.new_figure(8.4, 3.6) as figure:
-        for axis, side in zip(figure.subplots(1, 2, sharex=True, sharey=True), SIDES, strict=True):
+        for axis, side in zip(
+            figure.subplots(1, 2, sharex=True, sharey=True), SIDES, strict=True
+        ):
             communities(axis, view, side)
         save(figure, path)
 
@@ -271,7 +280,11 @@ def matching(axis, view):
         for place in centroids[side][alone] if status == "not_found" else ():
             axis.add_patch(
                 Circle(
-                    place, Settings().matching.delta_m, fill=False, linewidth=0.4, color="#777777"
+                    place,
+                    Settings().matching.delta_m,
+                    fill=False,
+                    linewidth=0.4,
+                    color="#777777",
                 )
             )
     axis.set_title(f"{len(matched)} matched: match rate {view.row.match_rate:.2f}")
@@ -289,11 +302,15 @@ def draw_matching(view, path):
     with style.new_figure(8.4, 4.2) as figure:
         above, apart = figure.subplots(1, 2, width_ratios=(1.9, 1))
         matching(above, view)
-        above.legend(loc="upper center", bbox_to_anchor=(0.5, -0.25), ncols=4, handletextpad=0.1)
+        above.legend(
+            loc="upper center", bbox_to_anchor=(0.5, -0.25), ncols=4, handletextpad=0.1
+        )
         distances = view.run.metrics.centroid_distance_m
         apart.hist(distances, bins=np.arange(0, 5.26, 0.25), color=GROUND_COLOUR)
         apart.axvline(Settings().matching.delta_m, color="black", linewidth=0.8)
-        apart.text(Settings().matching.delta_m, apart.get_ylim()[1], "delta ", va="top", ha="right")
+        apart.text(
+            Settings().matching.delta_m, apart.get_ylim()[1], "delta ", va="top", ha="right"
+        )
         apart.set(xlabel="distance of matched centroids (m)", ylabel="objects")
         apart.set_title(f"{len(distances)} matched objects of {len(view.run.scored)} pairs")
         save(figure, path)
@@ -334,7 +351,9 @@ def surface(axis, view):
     axis.add_collection(LineCollection(np.stack([places, places + 1.5 * normal], axis=1), linewidths=0.4,
                                        colors=SIDE_COLOURS["real"]))  # fmt: skip
     offset = measure_offsets(real, describe_surface(view.points["sim"]))
-    axis.set_title(f"normals of {len(places):,} planes; displaced by {offset.distance_m[0]:.3f} m")
+    axis.set_title(
+        f"normals of {len(places):,} planes; displaced by {offset.distance_m[0]:.3f} m"
+    )
     style.from_above(axis, np.clip(view.frame, -NEAR_M, NEAR_M))
 
 
@@ -372,7 +391,9 @@ def pieces(axis, view, side="real"):
     """The object points of a side from above in grey, its pieces each in a colour."""
     points = {own: view.run.points(view.pair_id, own) for own in SIDES}
     scans = [
-        CutScan(own[["x", "y", "z"]].to_numpy(), own.is_ground.to_numpy(), own.height_m.to_numpy())
+        CutScan(
+            own[["x", "y", "z"]].to_numpy(), own.is_ground.to_numpy(), own.height_m.to_numpy()
+        )
         for own in points.values()
     ]
     found = find_pieces(*scans, Settings().pieces)[SIDES.index(side)]
@@ -390,7 +411,9 @@ def pieces(axis, view, side="real"):
 def draw_pieces(view, path):
     """The missing and the invented pieces."""
     with style.new_figure(8.4, 3.6) as figure:
-        for axis, side in zip(figure.subplots(1, 2, sharex=True, sharey=True), SIDES, strict=True):
+        for axis, side in zip(
+            figure.subplots(1, 2, sharex=True, sharey=True), SIDES, strict=True
+        ):
             pieces(axis, view, side)
         save(figure, path)
 
@@ -401,7 +424,12 @@ def rays(axis, view):
     for outcome, colour in OUTCOME_COLOURS.items():
         own = found[found.outcome == outcome]
         axis.plot(
-            own.column, own.beam, ".", color=colour, markersize=1.2, label=OUTCOME_WORDS[outcome]
+            own.column,
+            own.beam,
+            ".",
+            color=colour,
+            markersize=1.2,
+            label=OUTCOME_WORDS[outcome],
         )
     axis.set_title("outcome of each ray")
     axis.set_xlabel("column")
@@ -414,7 +442,9 @@ def draw_rays(view, path):
         left, right = figure.subplots(1, 2)
         rays(left, view)
         scores = (
-            view.run.store.read_table("ray_scores", view.pair_id).to_pandas().query("by == 'range'")
+            view.run.store.read_table("ray_scores", view.pair_id)
+            .to_pandas()
+            .query("by == 'range'")
         )
         scores = scores.sort_values(
             "band",
@@ -425,26 +455,37 @@ def draw_rays(view, path):
         bottom = np.zeros(len(scores))
         for outcome, colour in OUTCOME_COLOURS.items():
             share = 100 * scores[f"rays_{outcome}"].to_numpy()
-            right.bar(scores.band, share, bottom=bottom, color=colour, label=OUTCOME_WORDS[outcome])
+            right.bar(
+                scores.band, share, bottom=bottom, color=colour, label=OUTCOME_WORDS[outcome]
+            )
             bottom += share
         right.set_title("outcomes by range")
         right.set_ylabel("% of the rays")
         right.tick_params(axis="x", labelrotation=30)
         figure.legend(
-            *right.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False
+            *right.get_legend_handles_labels(),
+            loc="outside lower center",
+            ncols=3,
+            frameon=False,
         )
         save(figure, path)
 
 
 def causes(axis, view):
     """Amounts of the causes of a pair in units of their tolerances, the largest ones."""
-    table = view.run.store.read_table("causes", view.pair_id).to_pandas().dropna(subset="amount")
+    table = (
+        view.run.store.read_table("causes", view.pair_id).to_pandas().dropna(subset="amount")
+    )
     table = table[table.cause != UNEVEN]
     table["size"] = table.amount / table.cause.map(lambda name: CAUSES[name].tolerance)
-    table = table.loc[table["size"].abs().sort_values(ascending=False).index[:MOST_CAUSES][::-1]]
+    table = table.loc[
+        table["size"].abs().sort_values(ascending=False).index[:MOST_CAUSES][::-1]
+    ]
     is_beyond = table["size"].abs() > 1
     axis.barh(
-        table.cause, table["size"], color=np.where(is_beyond, SIDE_COLOURS["sim"], GROUND_COLOUR)
+        table.cause,
+        table["size"],
+        color=np.where(is_beyond, SIDE_COLOURS["sim"], GROUND_COLOUR),
     )
     for limit in (-1, 1):
         axis.axvline(limit, color="black", linewidth=0.6)
@@ -472,7 +513,9 @@ def selection(axis, view, side="real"):
     both = table[["real_influence", "sim_influence"]].to_numpy()
     places = view.own.seen(own.points)
     dropped = np.setdiff1d(np.arange(len(places)), nodes)
-    axis.scatter(*places[dropped].T, s=9, facecolors="none", edgecolors="#777777", linewidths=0.5)
+    axis.scatter(
+        *places[dropped].T, s=9, facecolors="none", edgecolors="#777777", linewidths=0.5
+    )
     look = {"cmap": "viridis", "vmin": both.min(), "vmax": both.max()}
     coloured = style.dots(axis, places[nodes], 7, table[f"{side}_influence"], **look)
     axis.set_aspect("equal")

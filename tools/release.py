@@ -88,7 +88,9 @@ def check_contents(folder):
         "__init__.py",
         "py.typed",
     }
-    demand(own == rooms, f"wheel: too much {sorted(own - rooms)}, missing {sorted(rooms - own)}")
+    demand(
+        own == rooms, f"wheel: too much {sorted(own - rooms)}, missing {sorted(rooms - own)}"
+    )
     rest = [name for name in names if not re.match(r"fidpipe/|fidpipe-[^/]*\.dist-info/", name)]
     demand(not rest, f"wheel: {rest} would land beside other packages")
     return f"{len(packed)} files in the source archive, {len(own)} in the wheel"
@@ -104,7 +106,8 @@ def try_wheel(folder):
     run(bin_ / "python", "-c", scenes + "scenes.write_dataset(Path('dataset'), 2)", cwd=place)
     fidpipe = bin_ / "fidpipe"
     demand(
-        run(fidpipe, "--version").split()[1] == version(folder), "the command tells another version"
+        run(fidpipe, "--version").split()[1] == version(folder),
+        "the command tells another version",
     )
     for words in (
         "check dataset",
@@ -170,7 +173,11 @@ def try_sdist(folder):
     """Installed from source; the tests in the archive run on it."""
     bin_ = environment(folder / "from-source")
     install(
-        bin_, "--compile-bytecode", "--require-hashes", "--requirement", HOUSE / "requirements.lock"
+        bin_,
+        "--compile-bytecode",
+        "--require-hashes",
+        "--requirement",
+        HOUSE / "requirements.lock",
     )
     install(bin_, "--no-deps", "--no-build-isolation", sdist(folder))
     [source] = (folder / "source").iterdir()
@@ -227,7 +234,8 @@ def try_dockerfile(folder):
                 entry = [part.strip('[]" ') for part in rest.split(",")]
             else:
                 demand(
-                    word in {"", "#", "COPY", "CMD"}, f"Dockerfile: this check does not know {word}"
+                    word in {"", "#", "COPY", "CMD"},
+                    f"Dockerfile: this check does not know {word}",
                 )
             n_steps += bool(word)
     shutil.rmtree(root / "build")  # the second stage has the installed environment alone

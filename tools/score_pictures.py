@@ -43,7 +43,9 @@ def draw_surface(results, pair_id, path):
             xticks=[],
             yticks=[],
         )
-        axis.set_title(f"{100 * is_covered.mean():.0f} % of the real surface is simulated (grey)")
+        axis.set_title(
+            f"{100 * is_covered.mean():.0f} % of the real surface is simulated (grey)"
+        )
         save(figure, path)
 
 
@@ -51,7 +53,9 @@ def draw_piece(results, pair_id, path):
     """The largest missing piece of a pair among the points of both sides, from the side."""
     points = {side: results.run.points(pair_id, side) for side in SIDES}
     scans = [
-        CutScan(own[["x", "y", "z"]].to_numpy(), own.is_ground.to_numpy(), own.height_m.to_numpy())
+        CutScan(
+            own[["x", "y", "z"]].to_numpy(), own.is_ground.to_numpy(), own.height_m.to_numpy()
+        )
         for own in points.values()
     ]
     labels = find_pieces(*scans, Settings().pieces)[0].labels
@@ -85,7 +89,9 @@ def draw_objects(results, examples, path, *, is_graph):
         axes = figure.subplots(2 if is_graph else 1, len(objects), squeeze=False)
         for column, own in enumerate(objects):
             value = own.row[examples[column].score]
-            axes[0][column].set_title(f"{examples[column].score.replace('cdc', 'CDC')} {value:.2f}")
+            axes[0][column].set_title(
+                f"{examples[column].score.replace('cdc', 'CDC')} {value:.2f}"
+            )
             for row, side in enumerate(SIDES):
                 axis = axes[row if is_graph else 0][column]
                 if is_graph:

@@ -32,9 +32,13 @@ def columns_of(table: Table, without: Sequence[str] = ()) -> str:
         if field.name in without:
             continue
         kind = _SHOWN.get(str(field.type), str(field.type))
-        unit, meaning = (field.metadata.get(name, b"").decode() for name in (b"unit", b"meaning"))
+        unit, meaning = (
+            field.metadata.get(name, b"").decode() for name in (b"unit", b"meaning")
+        )
         meaning = re.sub(
-            r"^(mean|standard deviation \(n - 1\)) of \w+ over", r"\1 of the score over", meaning
+            r"^(mean|standard deviation \(n - 1\)) of \w+ over",
+            r"\1 of the score over",
+            meaning,
         )
         columns.setdefault((kind, unit, "yes" if field.nullable else "", meaning), []).append(
             f"`{field.name}`"
@@ -42,19 +46,26 @@ def columns_of(table: Table, without: Sequence[str] = ()) -> str:
     rows = [f"| {', '.join(names)} | {' | '.join(cells)} |" for cells, names in columns.items()]
     head = ["| column | type | unit | null | meaning |", "|---|---|---|---|---|"]
     return (
-        "\n".join([f"Sorted by {', '.join(f'`{key}`' for key in table.keys)}.", "", *head, *rows])
+        "\n".join(
+            [f"Sorted by {', '.join(f'`{key}`' for key in table.keys)}.", "", *head, *rows]
+        )
         + "\n"
     )
 
 
 def all_scores() -> str:
     """Markdown table of our own scores: name, column, range, direction, the paper's mean, and how to read it."""
-    rows = ["| score | column | range | better | paper | meaning |", "|---|---|---|---|---|---|"]
+    rows = [
+        "| score | column | range | better | paper | meaning |",
+        "|---|---|---|---|---|---|",
+    ]
     for name in ("match_rate", *scores_of("object")):
         metric = METRIC[name]
         high = "" if metric.high is None else f" to {metric.high:g}"
         values = f"{metric.low:g}{high or ' or more'}" if metric.low is not None else "any"
-        paper = "" if metric.paper_mean is None else f"{metric.paper_mean:g} ± {metric.paper_std:g}"
+        paper = (
+            "" if metric.paper_mean is None else f"{metric.paper_mean:g} ± {metric.paper_std:g}"
+        )
         cells = (
             metric.label,
             f"`{metric.column}`",

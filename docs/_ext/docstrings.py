@@ -27,7 +27,10 @@ def to_rst(lines: list[str]) -> list[str]:
         elif re.fullmatch("-{3,}", following):
             found.append(f"**{line}**")
         elif item:
-            found += [", ".join(f"``{name}``" for name in item[1].split(", ")), f"    {item[2]}"]
+            found += [
+                ", ".join(f"``{name}``" for name in item[1].split(", ")),
+                f"    {item[2]}",
+            ]
         else:
             found.append(line)
     return found

@@ -81,7 +81,9 @@ def tables_of(stage: Stage) -> str:
     """Markdown of the inputs and outputs of a stage."""
     lines = [f"One job for {_GRAINS[stage.grain]}.", ""]
     lines += [f"Input: {', '.join(map(_table_word, stage.takes))}."]
-    lines += [f"\nOutput: `{name}`. {contracts.columns_of(TABLES[name])}" for name in stage.gives]
+    lines += [
+        f"\nOutput: `{name}`. {contracts.columns_of(TABLES[name])}" for name in stage.gives
+    ]
     return "\n".join(lines) + "\n"
 
 

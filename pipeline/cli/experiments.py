@@ -133,7 +133,9 @@ def ablate(
         out or _experiment_folder(dataset, "ablate"),
         load(settings, assignments or [], preset=preset),
         Reporter(),
-        values={name: _numbers(name, text) for name, text in options.items() if text is not None},
+        values={
+            name: _numbers(name, text) for name, text in options.items() if text is not None
+        },
         pattern=pairs,
         n_workers=workers,
         replace=replace,

@@ -30,8 +30,12 @@ if TYPE_CHECKING:
 
 def gate(
     run: RunFolder,
-    at_most: Annotated[list[str] | None, typer.Option("--max", metavar="MEASURE=NUMBER")] = None,
-    at_least: Annotated[list[str] | None, typer.Option("--min", metavar="MEASURE=NUMBER")] = None,
+    at_most: Annotated[
+        list[str] | None, typer.Option("--max", metavar="MEASURE=NUMBER")
+    ] = None,
+    at_least: Annotated[
+        list[str] | None, typer.Option("--min", metavar="MEASURE=NUMBER")
+    ] = None,
     criteria: Path | None = None,
     best_case: BestCase = None,
     out: Path | None = None,

@@ -65,7 +65,9 @@ class _Command(_ShortTypes, TyperCommand):
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
         text, meanings = split_docstring(self.help or "")
-        self.help = re.sub(r"^(fidpipe .*)\n\n(?=fidpipe )", r"\1  \n", text, flags=re.MULTILINE)
+        self.help = re.sub(
+            r"^(fidpipe .*)\n\n(?=fidpipe )", r"\1  \n", text, flags=re.MULTILINE
+        )
         param: Any
         for param in self.params:
             param.help = meanings.get(param.name, param.help)
@@ -130,7 +132,9 @@ def _flushed(code: int | None) -> int | None:
         sys.stdout.flush()
         return code
     except OSError as error:
-        if error.errno != errno.EPIPE and not code:  # who reads from a pipe may stop at any time
+        if (
+            error.errno != errno.EPIPE and not code
+        ):  # who reads from a pipe may stop at any time
             _complain(f"error: {_refusal(error) or error}")
         # or Python tries again, and complains
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -143,7 +147,9 @@ def _explained(error: Exception) -> str:
         return f"error: {error}"
     if isinstance(error, OSError) and _refusal(error):
         return f"error: {_refusal(error)}"
-    if isinstance(error, UnicodeEncodeError):  # Python reads bytes that are not UTF-8 as surrogates
+    if isinstance(
+        error, UnicodeEncodeError
+    ):  # Python reads bytes that are not UTF-8 as surrogates
         name = error.object[: error.end].split()[-1].strip("'\"")
         return f"error: the name {name!a} is not UTF-8; rename the file or folder"
     if isinstance(error, MemoryError):
@@ -217,7 +223,8 @@ def _version(wanted: bool) -> None:
 
 def _root(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
     ] = False,
 ) -> None:
     """Measure how faithful simulated LiDAR is, and where it fails.

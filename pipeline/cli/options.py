@@ -58,11 +58,14 @@ Scheduler = Annotated[
     str | None, typer.Option(metavar="tcp://HOST:PORT", help="Dask scheduler to work on.")
 ]
 PairTimeout = Annotated[
-    float | None, typer.Option(metavar="SECONDS", min=0.001, help="A pair that takes longer fails.")
+    float | None,
+    typer.Option(metavar="SECONDS", min=0.001, help="A pair that takes longer fails."),
 ]
 BestCase = Annotated[
     Path | None,
-    typer.Option(metavar="RUN", help="Show scores minus those of this run of fidpipe best-case."),
+    typer.Option(
+        metavar="RUN", help="Show scores minus those of this run of fidpipe best-case."
+    ),
 ]
 Replace = Annotated[bool, typer.Option(help="Replace finished results.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Strict JSON, nothing else.")]

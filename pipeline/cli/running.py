@@ -60,11 +60,15 @@ def settings(
     from ...schemas.settings import load
 
     if json_schema and (preset or settings or assignments):
-        raise typer.BadParameter("--json-schema does not depend on other options; give it alone")
+        raise typer.BadParameter(
+            "--json-schema does not depend on other options; give it alone"
+        )
     if json_schema:
         print_json(settings_text.json_schema())
     else:
-        print_text(settings_text.commented_toml(load(settings, assignments or [], preset=preset)))
+        print_text(
+            settings_text.commented_toml(load(settings, assignments or [], preset=preset))
+        )
 
 
 def check(
@@ -188,7 +192,9 @@ def run(
         machines=machines_of(workers, scheduler, pair_timeout),
         replace=replace,
     )
-    print_outcome(outcome_values(outcome) if as_json else outcome_view(outcome), outcome.failures)
+    print_outcome(
+        outcome_values(outcome) if as_json else outcome_view(outcome), outcome.failures
+    )
 
 
 def _all_assignments(given: list[str] | None, seeds: int | None, *, tasks: bool) -> list[str]:
@@ -281,7 +287,9 @@ def _dataset_of(
     if not path_exists(source / "run.json"):
         return source, load(settings, assignments or [], preset=preset)
     if preset or settings or assignments:
-        raise typer.BadParameter("a run has its settings; leave out --preset, --settings and --set")
+        raise typer.BadParameter(
+            "a run has its settings; leave out --preset, --settings and --set"
+        )
 
     from ..results.finished import FinishedRun
     from ..storage.run_record import SETTINGS_TOML

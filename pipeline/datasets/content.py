@@ -42,7 +42,9 @@ def file_hash(path: Path) -> str:
     return _hash_once(path, file_marks(path))
 
 
-def scan_content(source: ScanRef | Path, hash_of: Callable[[Path], str] = file_hash) -> ScanContent:
+def scan_content(
+    source: ScanRef | Path, hash_of: Callable[[Path], str] = file_hash
+) -> ScanContent:
     """The content of a scan file, or of one frame of a recording.
 
     A frame counts as changed whenever its recording has.

@@ -106,7 +106,9 @@ def _side(source: Path) -> Path:
     if scan_ref(source).format.holds_frames:
         return source
     if not source.is_dir():
-        raise DatasetError(f"{source}: expected a folder of scans or a recording (bag, capture)")
+        raise DatasetError(
+            f"{source}: expected a folder of scans or a recording (bag, capture)"
+        )
     folders = folders_of_scans(source)
     if len(folders) > 1:
         names = ", ".join(path.name for path in folders)
@@ -203,7 +205,9 @@ def read_timeline(source: Path, *, needs_times: bool = True) -> Timeline:
         frames = scans_in(source)
         times_s = _times_of_folder(source, [frame.stem for frame in frames], needs_times)
     else:
-        raise DatasetError(f"{source}: expected a recording (bag, capture) or a folder of scans")
+        raise DatasetError(
+            f"{source}: expected a recording (bag, capture) or a folder of scans"
+        )
     if needs_times and not frames:
         raise DatasetError(f"{source}: no frames found; expected at least one")
     order = np.argsort(times_s, kind="stable")
@@ -305,7 +309,9 @@ def pair_times(
     return with_values(best, others_s=tuple(others_s) if best.offset_s else ())
 
 
-def _nearest(real_s: FloatArray, sim_s: FloatArray, offset_s: float, tolerance_s: float) -> Pairing:
+def _nearest(
+    real_s: FloatArray, sim_s: FloatArray, offset_s: float, tolerance_s: float
+) -> Pairing:
     """Frames that are each other's nearest, with an offset added to simulated times."""
     moved_s = sim_s + offset_s
     to_sim = _nearest_ids(real_s, moved_s)

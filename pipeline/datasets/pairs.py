@@ -60,7 +60,9 @@ class ScanPair:
     @property
     def scans(self) -> dict[str, ScanRef]:
         """The scans that the pair has, by side."""
-        return {side: scan for side, scan in zip(SIDES, (self.real, self.sim), strict=True) if scan}
+        return {
+            side: scan for side, scan in zip(SIDES, (self.real, self.sim), strict=True) if scan
+        }
 
     def motion(self, side: str) -> tuple[float, ...] | None:
         """The motion of a side's points into the real sensor's frame; None if they are in it."""
@@ -101,7 +103,9 @@ def read_dataset(folder: Path) -> Dataset:
     manifest = folder / MANIFEST
     warnings: list[str] = []
     pairs = (
-        read_manifest(manifest, warnings) if manifest.exists() else _from_folders(folder, warnings)
+        read_manifest(manifest, warnings)
+        if manifest.exists()
+        else _from_folders(folder, warnings)
     )
     if not pairs:
         raise DatasetError(
@@ -151,8 +155,12 @@ def _from_folders(folder: Path, warnings: list[str]) -> list[ScanPair]:
         for side, other in (SIDES, SIDES[::-1]):
             if stem not in scans[other]:
                 scan = scans[side][stem]
-                fault = f"{scan}: {NO_PARTNER}; expected a scan named {stem} in {folder / other}"
-        pairs.append(ScanPair(stem, scans["real"].get(stem), scans["sim"].get(stem), fault=fault))
+                fault = (
+                    f"{scan}: {NO_PARTNER}; expected a scan named {stem} in {folder / other}"
+                )
+        pairs.append(
+            ScanPair(stem, scans["real"].get(stem), scans["sim"].get(stem), fault=fault)
+        )
     return pairs
 
 
@@ -235,7 +243,9 @@ def read_manifest(
     rows = []
     for line, values in enumerate(lines, start=2):
         if None in values:  # the key of values beyond the header
-            raise DatasetError(f"{manifest}, line {line}: expected {len(columns)} values, got more")
+            raise DatasetError(
+                f"{manifest}, line {line}: expected {len(columns)} values, got more"
+            )
         rows.append({name: values.get(name, "").strip() for name in _MANIFEST_COLUMNS})
     stubs = _stubs_of(manifest.parent, [row[side] for side in SIDES for row in rows])
     pairs: dict[str, ScanPair] = {}
@@ -243,7 +253,9 @@ def read_manifest(
         where = f"{manifest}, line {line}"
         pair = _pair_of_row(where, manifest.parent, row, stubs)
         if pair.pair_id in pairs:
-            raise DatasetError(f"{where}: pair_id {pair.pair_id} occurs twice; expected it once")
+            raise DatasetError(
+                f"{where}: pair_id {pair.pair_id} occurs twice; expected it once"
+            )
         pairs[pair.pair_id] = pair
     return list(pairs.values())
 

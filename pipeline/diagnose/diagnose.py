@@ -22,7 +22,9 @@ from ..storage.table_files import JobName
 from .latency import latency_note
 
 
-def diagnose_run(folder: Path, reporter: Reporter, machines: Machines | None = None) -> Diagnosis:
+def diagnose_run(
+    folder: Path, reporter: Reporter, machines: Machines | None = None
+) -> Diagnosis:
     """Measure the gain of correcting each cause of a finished run; gains that are up to date are reused.
 
     Raises
@@ -59,7 +61,9 @@ def diagnose_run(folder: Path, reporter: Reporter, machines: Machines | None = N
         )
     diagnosis = diagnosis_of(run.store, run.record, run.names)
     if diagnosis is None:
-        raise RunError(f"run {folder}: the run changed while it was diagnosed; diagnose it again")
+        raise RunError(
+            f"run {folder}: the run changed while it was diagnosed; diagnose it again"
+        )
     note = latency_note(run, diagnosis.causes)
     return diagnosis.model_copy(update={"notes": (note,)}) if note else diagnosis
 

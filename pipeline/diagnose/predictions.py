@@ -196,7 +196,9 @@ def _compare_labels(
     n_same = classes.pop("n_same")
     classes["iou"] = n_same / (classes["n_real"] + classes["n_sim"] - n_same)
     names = {number: label_names.get(number, str(number)) for number in classes.index}
-    objects_of_all = pd.concat(objects).replace({"predicted_real": names, "predicted_sim": names})
+    objects_of_all = pd.concat(objects).replace(
+        {"predicted_real": names, "predicted_sim": names}
+    )
     return classes.rename(index=names).reset_index(names="class"), objects_of_all
 
 
@@ -259,7 +261,9 @@ def _boxed_objects(
 
     points = run.points(pair_id, "real").dropna(subset="community_id")
     xyz = points[_XYZ].to_numpy()
-    boxes = pd.DataFrame({"predicted_real": real.names, "fate": np.where(is_found, "kept", "lost")})
+    boxes = pd.DataFrame(
+        {"predicted_real": real.names, "fate": np.where(is_found, "kept", "lost")}
+    )
     boxes["community_id"] = [
         points.loc[inside(xyz, real, i), "community_id"].mode().min() for i in range(len(boxes))
     ]

@@ -19,7 +19,9 @@ def agreement_view(result: Agreement) -> View:
     parts: list[Part] = [Note(line, "bold"), _classes_table(result)]
     rows = []
     for row in result.scores:
-        interval = "-" if row["low"] is None else f"{number(row['low'])} to {number(row['high'])}"
+        interval = (
+            "-" if row["low"] is None else f"{number(row['low'])} to {number(row['high'])}"
+        )
         rows.append((metric_of(row["score"]).label, row["auc"], interval))
     title = "Does a score go with a loss? (0.5: no; 1: lost objects have the larger scores)"
     parts.append(Table(title, ("score", "AUC", "95 %, leaving out scans"), rows, words=(0, 2)))

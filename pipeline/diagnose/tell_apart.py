@@ -135,7 +135,9 @@ def draw_sample(scans: GroundTables, n_scans: int) -> pd.DataFrame:
             first = seen
             place += 1
         azimuth_deg = np.degrees(np.arctan2(points[rows, 1], points[rows, 0]))
-        tables.append(pd.DataFrame(features).assign(azimuth_deg=azimuth_deg, frame=i, place=place))
+        tables.append(
+            pd.DataFrame(features).assign(azimuth_deg=azimuth_deg, frame=i, place=place)
+        )
     return pd.concat(tables, ignore_index=True)
 
 
@@ -177,7 +179,9 @@ def _values(test: Separation) -> dict[str, Any]:
     return {"auc": test.auc, "low": test.low, "high": test.high}
 
 
-def _real_samples(real: pd.DataFrame, is_paired: bool) -> tuple[str, pd.DataFrame, pd.DataFrame]:
+def _real_samples(
+    real: pd.DataFrame, is_paired: bool
+) -> tuple[str, pd.DataFrame, pd.DataFrame]:
     """Two samples that differ only by chance, and the words for what they are.
 
     A classifier that tells these apart would also tell any simulator apart. Paired samples are frames of the same

@@ -185,14 +185,18 @@ class DaskPool(Pool):
                 f"{n_deaths} workers each time, the last one {error.last_worker.address}"
             )
         except CancelledError as error:
-            raise RunError(self._lost("the connection is lost, or it gave up a task")) from error
+            raise RunError(
+                self._lost("the connection is lost, or it gave up a task")
+            ) from error
         future.release()  # or it would be repeated, and its files written again, if the worker that holds it dies
         return future, result
 
     def close(self) -> None:
         """See `Pool`."""
         if self._client is not None:
-            with suppress(TimeoutError):  # a busy machine; what still runs ends with this process
+            with suppress(
+                TimeoutError
+            ):  # a busy machine; what still runs ends with this process
                 self._client.close(timeout=_STOP_S)
         if self._cluster is not None:
             self._cluster.sync(_end, self._cluster.workers.values())

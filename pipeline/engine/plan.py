@@ -310,5 +310,7 @@ def _key(job: Job, keys: Mapping[JobId, str]) -> str:
 def reads(job: Job, keys: Mapping[JobId, str]) -> tuple[str, ...]:
     """The keys of all that a job takes, in its order."""
     return tuple(
-        dict.fromkeys(keys[source.maker or (source.table, source.side)] for source in job.sources)
+        dict.fromkeys(
+            keys[source.maker or (source.table, source.side)] for source in job.sources
+        )
     )

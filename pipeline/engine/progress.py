@@ -47,7 +47,9 @@ class Reporter:
         """Print warnings, one line each, by one call of the console, because calls are slow."""
         if texts:
             self.console.print(
-                "\n".join(f"warning: {shown(text)}" for text in texts), markup=False, style="yellow"
+                "\n".join(f"warning: {shown(text)}" for text in texts),
+                markup=False,
+                style="yellow",
             )
 
     def fail(self, name: str, reason: str) -> None:
@@ -119,7 +121,9 @@ class Reporter:
 
     def _counts(self) -> str:
         """Pairs that have ended and failed, and objects that are done."""
-        return f"{self._n_ended} of {self._n_pairs} pairs, {self._n_failed} failed{self._objects}"
+        return (
+            f"{self._n_ended} of {self._n_pairs} pairs, {self._n_failed} failed{self._objects}"
+        )
 
 
 def _in_words(seconds: float) -> str:

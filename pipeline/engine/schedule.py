@@ -86,7 +86,9 @@ class Collector:
         order = list(plan.jobs)
         failures = sorted(plan.failures, key=lambda failure: order.index(failure.job))
         self.reporter.advance(len(plan.jobs) - len(plan.records), 1)
-        required = [failure for failure in failures if not plan.jobs[failure.job].stage.is_extra]
+        required = [
+            failure for failure in failures if not plan.jobs[failure.job].stage.is_extra
+        ]
         if required:
             for record in self.folder.forget(plan.pair_id):
                 self.n_made -= record.made_by == self.folder.token
@@ -199,7 +201,8 @@ class Schedule:
         """Begin pairs while the window has room, and submit batches that fit into the memory."""
         if not self._is_alone:
             while (
-                self._n_pending and sum(map(self._weight, self._active.values())) < self._window()
+                self._n_pending
+                and sum(map(self._weight, self._active.values())) < self._window()
             ):
                 self._n_pending -= 1
                 self._begin(_Pair(next(self._pending)))
@@ -223,9 +226,7 @@ class Schedule:
         if isinstance(result, WorkerDied):
             pair.is_lost = True
             if self._is_alone:
-                again = (
-                    "the worker process died, and again when the pair ran alone (out of memory?)"
-                )
+                again = "the worker process died, and again when the pair ran alone (out of memory?)"
                 failure = JobFailure(pair.plan.ready[0].name, f"{again}: {result.detail}")
                 pair.plan = pair.plan.after(failures=[failure])
             return
@@ -256,7 +257,9 @@ class Schedule:
             del self._active[pair.plan.pair_id]
             self._quarantine.append(pair)
         elif reason:
-            self._submit_jobs(pair, readers)  # the input files may have fewer points than estimated
+            self._submit_jobs(
+                pair, readers
+            )  # the input files may have fewer points than estimated
         elif pair.scored:
             rows = tuple(pair.scored)
             pair.scored.clear()
@@ -296,7 +299,9 @@ class Schedule:
                 if job.stage.grain is Grain.PAIR:
                     self._submit_jobs(pair, [job])
 
-    def _submit_jobs(self, pair: _Pair, jobs: list[Job], rows: tuple[ObjectRows, ...] = ()) -> None:
+    def _submit_jobs(
+        self, pair: _Pair, jobs: list[Job], rows: tuple[ObjectRows, ...] = ()
+    ) -> None:
         """Some jobs of a pair as one batch."""
         with_objects = any(job.stage.grain is not Grain.SIDE for job in jobs)
         need = pair.plan.bytes_needed(with_objects=with_objects)
@@ -330,7 +335,9 @@ class Schedule:
             return
         batches: list[list[tuple[int, int]]] = []
         left_s = 0.0
-        for number, n_keep in sorted(pair.plan.objects, key=lambda entry: (-entry[1], entry[0])):
+        for number, n_keep in sorted(
+            pair.plan.objects, key=lambda entry: (-entry[1], entry[0])
+        ):
             if left_s <= 0:
                 batches.append([])
                 left_s = BATCH_S
@@ -374,7 +381,11 @@ class Schedule:
         if need <= usable:
             return None
         number, n_keep = plan.largest_object
-        what = f"object {number} of {n_keep} aligned nodes" if n_keep else f"{plan.n_points} points"
+        what = (
+            f"object {number} of {n_keep} aligned nodes"
+            if n_keep
+            else f"{plan.n_points} points"
+        )
         return (
             f"{what}: {_gib(need)} of memory may be needed at once, {_gib(usable)} are available "
             f"(machine.memory_gib minus {_gib(costs.PROCESS_BYTES)} for the worker process); a smaller graph.k "

@@ -53,7 +53,9 @@ def map_tasks(
     modules = [function.__module__]
     pool = start_pool(n_workers, None, modules, may_end_workers=may_end_workers)
     try:
-        for name, result, reason in reporter.counted(_outcomes(pool, function, tasks), len(tasks)):
+        for name, result, reason in reporter.counted(
+            _outcomes(pool, function, tasks), len(tasks)
+        ):
             if reason:
                 failures[name] = reason
                 reporter.fail(f"pair {name}", reason)
@@ -92,4 +94,7 @@ def _call(function: Callable[[Task], Result], task: Task) -> tuple[Result | None
     except FidpipeError as error:
         return None, str(error)
     except Exception as error:  # one broken task does not stop the others
-        return None, f"internal error: {type(error).__name__}: {error}\n{traceback.format_exc()}"
+        return (
+            None,
+            f"internal error: {type(error).__name__}: {error}\n{traceback.format_exc()}",
+        )

@@ -75,7 +75,9 @@ def run_batch(batches: Sequence[PairBatch]) -> list[BatchResult]:
                     job = batch.plan.jobs[name]
                     if job not in runner.plan.ready:
                         continue
-                    need = runner.plan.bytes_needed(with_objects=job.stage.grain is Grain.OBJECT)
+                    need = runner.plan.bytes_needed(
+                        with_objects=job.stage.grain is Grain.OBJECT
+                    )
                     if need > batch.most_bytes and not batch.objects:
                         break
                     note(job_title(*name))

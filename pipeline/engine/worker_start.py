@@ -38,5 +38,6 @@ def limit_memory(n_bytes: int) -> None:
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
     limit = pages * resource.getpagesize() + n_bytes
     resource.setrlimit(
-        resource.RLIMIT_AS, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard)
+        resource.RLIMIT_AS,
+        (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard),
     )

@@ -167,9 +167,13 @@ def pair_clouds(
     status = objects["status"].where(fate == "matched", fate)
     objects["status"] = status.map(STATUSES.index)
     frames = {side: run.points(pair_id, side) for side in SIDES}
-    places = [rows.loc[~rows["is_ground"], ["x", "y", "z"]].to_numpy() for rows in frames.values()]
+    places = [
+        rows.loc[~rows["is_ground"], ["x", "y", "z"]].to_numpy() for rows in frames.values()
+    ]
     clouds = {}
-    for (side, rows), distance_m in zip(frames.items(), nearest_distances(*places), strict=True):
+    for (side, rows), distance_m in zip(
+        frames.items(), nearest_distances(*places), strict=True
+    ):
         rows.loc[~rows["is_ground"], "distance_m"] = distance_m
         side_objects = objects[objects["side"] == side]
         scores = side_objects[["community", *_DRAWN, "status"]]
@@ -240,7 +244,9 @@ def _write_bag(
         path.parent.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(prefix=f".{path.name[:100]}.", dir=path.parent) as temporary:
             bag = Path(temporary) / "bag"
-            writer = Writer(bag, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
+            writer = Writer(
+                bag, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP
+            )
             writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             writer.set_custom_data(
                 "fidpipe", f"{run.record.fidpipe}, preset {run.preset}, status {LEGEND}"
@@ -251,5 +257,7 @@ def _write_bag(
                     kind = message.__msgtype__
                     if topic not in connections:
                         connections[topic] = writer.add_connection(topic, kind, typestore=store)
-                    writer.write(connections[topic], time_ns, store.serialize_cdr(message, kind))
+                    writer.write(
+                        connections[topic], time_ns, store.serialize_cdr(message, kind)
+                    )
             (bag / "bag.mcap").replace(path)

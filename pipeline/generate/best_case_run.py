@@ -95,7 +95,9 @@ def run_best_case(
     folder = RunFolder(out)
     with folder.locked():
         (out / LEDGER).mkdir(exist_ok=True)  # from now on it is the folder of a run
-        _write_dataset(out / BEST_CASE_DATASET, recipe, source, selected, settings.input, reporter)
+        _write_dataset(
+            out / BEST_CASE_DATASET, recipe, source, selected, settings.input, reporter
+        )
     same_on_both_sides = settings.input.model_copy(
         update={"sim_frame": settings.input.real_frame, "sim_columns": None}
     )
@@ -131,7 +133,9 @@ def _write_dataset(
     (folder / MANIFEST).unlink(missing_ok=True)
     write_whole(folder / BEST_CASE_RECIPE, recipe.to_toml().encode())
     write_label_names(folder, source.label_names)
-    paths = {pair: folder / "sim" / f"{file_stem(pair.pair_id)}.parquet" for pair in source.pairs}
+    paths = {
+        pair: folder / "sim" / f"{file_stem(pair.pair_id)}.parquet" for pair in source.pairs
+    }
     wanted = [pair for pair in paths if pair.pair_id in selected or paths[pair].exists()]
     rows = []
     unknown = []
@@ -143,7 +147,9 @@ def _write_dataset(
                 real = sim = str(pair.real.absolute())
                 try:
                     scan = read_scan(pair.real, settings.columns_of("real"), source.label_names)
-                except ScanError:  # reported by the run, which reads the real scan on both sides
+                except (
+                    ScanError
+                ):  # reported by the run, which reads the real scan on both sides
                     path.unlink(missing_ok=True)
                 else:
                     sim = f"sim/{path.name}"

@@ -87,7 +87,9 @@ def generate_dataset(
     for pair in pairs:
         names |= pair.files()
     with named_errors(out):
-        _prepare(out, recipe_name, recipe | {"files": sorted(names)}, label_names, replace=replace)
+        _prepare(
+            out, recipe_name, recipe | {"files": sorted(names)}, label_names, replace=replace
+        )
         missing = {pair.pair_id: pair.task for pair in pairs if not pair.is_in(out)}
         _, failures = map_tasks(write_pair, missing, reporter, n_workers=workers)
         done = [pair for pair in pairs if pair.is_in(out)]

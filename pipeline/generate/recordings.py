@@ -64,7 +64,9 @@ def read_recording(
         or there are fewer than three frames.
     """
     if not folder.is_dir():
-        raise DatasetError(f"recording {folder}: no such folder; expected one with scans and poses")
+        raise DatasetError(
+            f"recording {folder}: no such folder; expected one with scans and poses"
+        )
     manifest = folder / MANIFEST
     if poses is None and manifest.exists():
         frames = _frames_of_manifest(manifest)

@@ -22,7 +22,13 @@ from ...stages.arrays import FloatArray, moved
 from ...stages.clean import clean_scan
 from ...stages.generate.flaws import FLAWS, carried
 from ...stages.generate.ray_casting import fire, require_ray_caster
-from ...stages.generate.rescan import EMPTY_MAP, RECORDED, extend_map, recorded_directions, rescan
+from ...stages.generate.rescan import (
+    EMPTY_MAP,
+    RECORDED,
+    extend_map,
+    recorded_directions,
+    rescan,
+)
 from ..datasets.pairs import Dataset, ScanPair
 from ..datasets.readers import read_scan
 from ..engine.pool import one_blas_thread
@@ -126,7 +132,15 @@ def make_twins(
         )
     content = _recipe_content(recording, recipe, frames)
     return generate_dataset(
-        out, RECIPE, content, pairs, names, _write_twin, reporter, workers=workers, replace=replace
+        out,
+        RECIPE,
+        content,
+        pairs,
+        names,
+        _write_twin,
+        reporter,
+        workers=workers,
+        replace=replace,
     )
 
 

@@ -58,7 +58,9 @@ def _pair_table(dataset: DatasetCheck) -> Table:
             name = check.pair.pair_id if side == "real" else ""
             scan = check.sides.get(side)
             if scan is None or scan.fault:
-                rows.append((name, side, None, None, "", "cannot be used" if scan else "missing"))
+                rows.append(
+                    (name, side, None, None, "", "cannot be used" if scan else "missing")
+                )
                 continue
             extent = "  ".join(f"{size:.1f}" for size in np.subtract(scan.high, scan.low))
             dropped = ", ".join(
@@ -67,7 +69,10 @@ def _pair_table(dataset: DatasetCheck) -> Table:
             rows.append((name, side, scan.n_raw, scan.n_clean, extent, dropped or "none"))
     columns = ("pair", "side", "points", "clean", "extent x y z (m)", "dropped")
     return Table(
-        f"{dataset.folder}: {count(len(dataset.pairs), 'pair')}", columns, rows, words=(0, 1, 4, 5)
+        f"{dataset.folder}: {count(len(dataset.pairs), 'pair')}",
+        columns,
+        rows,
+        words=(0, 1, 4, 5),
     )
 
 
@@ -93,6 +98,8 @@ def _causes(dataset: DatasetCheck) -> View:
     if not n_pairs:
         return []
     heading = Note(f"Seen in {count(n_pairs, 'pair')}", "bold")
-    items = cause_items(dataset.causes[:MOST_SHOWN]) or items_of(no_cause_words(dataset.unknown))
+    items = cause_items(dataset.causes[:MOST_SHOWN]) or items_of(
+        no_cause_words(dataset.unknown)
+    )
     trust = items_of(*unknown_words(dataset.unknown))
     return [heading, Answers({"Fix first": items, "Trust": trust})]

@@ -133,7 +133,11 @@ def check_dataset(folder: Path, settings: Settings) -> DatasetCheck:
     require_partners(dataset)
     stretches = stretches_of(dataset.pairs)
     checks = _check_pairs(dataset.pairs, stretches, settings, dataset.label_names)
-    warnings = [*dataset.warnings, *swapped_sides(dataset.pairs, folder), *_pair_warnings(checks)]
+    warnings = [
+        *dataset.warnings,
+        *swapped_sides(dataset.pairs, folder),
+        *_pair_warnings(checks),
+    ]
     faults = []
     for check in checks:
         faults += check.faults
@@ -184,7 +188,9 @@ def _check_pairs(
         n_workers=None if in_workers else 1,
         may_end_workers=in_workers,
     )
-    broken = {name: PairCheck(tasks[name][0], fault=reason) for name, reason in failures.items()}
+    broken = {
+        name: PairCheck(tasks[name][0], fault=reason) for name, reason in failures.items()
+    }
     return [(checks | broken)[name] for name in tasks]
 
 
@@ -204,7 +210,9 @@ def check_pair(task: tuple[ScanPair, Settings, dict[int, str], bool, bool]) -> P
     frames = None
     if len(scans) == len(SIDES):
         T_real_sim = transform_of(pair.T_real_sim)
-        frames = check_frames(scans["real"].points, scans["sim"].points, settings.input, T_real_sim)
+        frames = check_frames(
+            scans["real"].points, scans["sim"].points, settings.input, T_real_sim
+        )
     if not is_sampled:
         return PairCheck(pair, checks, frames)
     causes: list[Row] = []

@@ -83,7 +83,9 @@ def sample_scan(
     sensor : of the scan, if it was described already
     """
     points = at_sensor(scan.points, side, settings)
-    if sensor is None and len(points):  # neither cleaned nor moved: beams are those of its frame
+    if sensor is None and len(
+        points
+    ):  # neither cleaned nor moved: beams are those of its frame
         sensor = describe_sensor(points, scan.rings)
     uncut = settings.model_copy(update={"include_box": None, "voxel_m": None})
     clean = clean_scan(scan.points, uncut, frame=settings.frame_of(side)).points
@@ -114,7 +116,9 @@ def sensor_doubts(samples: Samples, *, serious: bool) -> list[str]:
         sensors = [scan.sensor for scan in scans.values() if scan.sensor]
         texts = []
         for sensor in sensors:
-            texts += [text for need, text in sensor.doubts.items() if (need in SERIOUS) == serious]
+            texts += [
+                text for need, text in sensor.doubts.items() if (need in SERIOUS) == serious
+            ]
         lines += doubt_lines(side, texts, len(sensors))
     return lines
 
@@ -196,9 +200,13 @@ def _offset_text(offset: TimeOffset) -> str:
 
 def _ego_text(hits: EgoHits, side: str, settings: InputSettings) -> str:
     """The hits, the setting that drops them, and the share of other points that it drops."""
-    axes = as_ros(np.eye(3), settings.frame_of(side))  # a row for each axis of the side's own frame
+    axes = as_ros(
+        np.eye(3), settings.frame_of(side)
+    )  # a row for each axis of the side's own frame
     corners = np.array([hits.low, hits.high]) @ axes.T
-    box = ",".join(f"{value + 0.0:.1f}" for value in (*corners.min(axis=0), *corners.max(axis=0)))
+    box = ",".join(
+        f"{value + 0.0:.1f}" for value in (*corners.min(axis=0), *corners.max(axis=0))
+    )
     return (
         f"{hits.share:.1%} of the points move with the sensor: hits on the ego vehicle? "
         f"input.exclude_box={box} drops them and {hits.others_in_box:.1%} others"

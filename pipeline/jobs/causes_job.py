@@ -93,14 +93,20 @@ def intensity_amounts(inputs: Inputs) -> dict[str, Amount]:
     from ...stages.causes.estimates import Amount
 
     scores = inputs.metadata("rays")[OF_PAIR]
-    reason = scores["rays_reason"] or scores["intensity_note"] or "intensities were not compared"
+    reason = (
+        scores["rays_reason"] or scores["intensity_note"] or "intensities were not compared"
+    )
     unknown = Amount(None, reason=reason)
-    amounts = dict.fromkeys(("intensity by range", "intensity ranks", "intensity scale"), unknown)
+    amounts = dict.fromkeys(
+        ("intensity by range", "intensity ranks", "intensity scale"), unknown
+    )
     real = scores["intensity_real_by_range"]
     sim = scores["intensity_sim_by_range"]
     if real is not None and sim is not None:
         amounts["intensity by range"] = Amount(sim - real, real, sim)
-    is_constant = "constant" in (scores["intensity_note"] or "")  # as of files with an empty column
+    is_constant = "constant" in (
+        scores["intensity_note"] or ""
+    )  # as of files with an empty column
     if scores["intensity_rank_distance"] is not None and not is_constant:
         amounts["intensity ranks"] = Amount(scores["intensity_rank_distance"])
     if scores["intensity_ratio"] is not None and scores["intensity_rmse"] is not None:

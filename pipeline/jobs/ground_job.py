@@ -62,7 +62,9 @@ def _columns(scan: Scan, clean: CleanResult, cut: GroundResult) -> Row:
     ids = clean.point_ids
     columns = {"point_id": ids} | vars(cut) | by_axis("{}", clean.points)
     optional = {"intensity": scan.intensity, "label": scan.labels, "instance": scan.instances}
-    return columns | {name: values[ids] for name, values in optional.items() if values is not None}
+    return columns | {
+        name: values[ids] for name, values in optional.items() if values is not None
+    }
 
 
 def _metadata(side: str, scan: Scan, clean: CleanResult, cut: GroundResult) -> Metadata:

@@ -22,7 +22,9 @@ def make_pieces(inputs: Inputs) -> JobResult:
     for side, pieces, table in zip(SIDES, both, tables, strict=True):
         inside = pieces.labels >= 0
         known = table.column("label").filter(pa.array(inside)).to_pylist()
-        labels = majority_labels(pieces.labels[inside], known, len(pieces.partner)) if known else []
+        labels = (
+            majority_labels(pieces.labels[inside], known, len(pieces.partner)) if known else []
+        )
         parts.append(_columns(pieces) | {"side": side, "label": labels})
     return JobResult(inputs.columns("pieces", *parts), {OF_PAIR: count_pieces(*both)})
 

@@ -149,7 +149,9 @@ def means_along(outcome: ExperimentOutcome, name: str) -> pd.DataFrame:
     return summary
 
 
-def parameter_sets(base: ParameterSet, values: Mapping[str, Sequence[Any]]) -> list[ParameterSet]:
+def parameter_sets(
+    base: ParameterSet, values: Mapping[str, Sequence[Any]]
+) -> list[ParameterSet]:
     """The parameter sets to try, ascending: one parameter varied at a time.
 
     Examples

@@ -197,7 +197,9 @@ def _write_tables(
         tables[name] = write_table(folder, name, key, parts)
     frames = scores({name: table.to_pandas() for name, table in tables.items()})
     summary = f"{stage.name}_summary"
-    tables[summary] = write_table(folder, summary, key, TABLES[summary].from_rows(_means(frames)))
+    tables[summary] = write_table(
+        folder, summary, key, TABLES[summary].from_rows(_means(frames))
+    )
     return tables
 
 

@@ -138,7 +138,9 @@ def make_perturbations(inputs: Inputs) -> JobResult:
     labels = column(tables["communities", "real"], "community_id")
     global_rows = []
     for level, trial in _trials(request, inputs.pair_id, "all", request.global_repeats):
-        global_rows.append(trial | _altered_scan(tables, points, level, trial["seed"], settings))
+        global_rows.append(
+            trial | _altered_scan(tables, points, level, trial["seed"], settings)
+        )
     object_rows = []
     baseline_rows = []
     for number, name in choose_objects(objects_in(tables), settings.graph.k).items():

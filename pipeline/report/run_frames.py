@@ -101,7 +101,9 @@ def _both_sides(objects: pd.DataFrame) -> pd.DataFrame:
 
 def _worst_first(objects: pd.DataFrame) -> pd.DataFrame:
     """Matched objects by the mean of their ranks in CDC and r_lambda, worst first; without r_lambda last."""
-    ranks = objects[[*QUADRANT_SCORES]].rank(ascending=False, pct=True).sum(axis=1, skipna=False)
+    ranks = (
+        objects[[*QUADRANT_SCORES]].rank(ascending=False, pct=True).sum(axis=1, skipna=False)
+    )
     ranked = objects.assign(_order=ranks).sort_values(["_order", "pair_id"], kind="stable")
     return ranked.drop(columns="_order")
 

@@ -37,7 +37,9 @@ if TYPE_CHECKING:
 
 BEST_CASE_DATASET = "dataset"
 BEST_CASE_RECIPE = "best_case.toml"
-AS_MEASURED: Literal["measured"] = "measured"  #: noise or losses that each real scan shows itself
+AS_MEASURED: Literal["measured"] = (
+    "measured"  #: noise or losses that each real scan shows itself
+)
 #: What has a best case: columns of `pairs`.
 SCORES = ("n_not_found", "n_extra", *RUN_SCORES)
 
@@ -66,7 +68,9 @@ class BestCaseRecipe:
 
     def to_toml(self) -> str:
         """The text of the recipe's file."""
-        return "".join(f"{name} = {json.dumps(value)}\n" for name, value in asdict(self).items())
+        return "".join(
+            f"{name} = {json.dumps(value)}\n" for name, value in asdict(self).items()
+        )
 
 
 @dataclass(frozen=True)

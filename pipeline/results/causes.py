@@ -95,7 +95,9 @@ def cause_values(pairs: Sequence[Sequence[Row]]) -> dict[str, pd.DataFrame]:
     return _by_cause(frame, frame["cause"].unique(), len(pairs))
 
 
-def _by_cause(frame: pd.DataFrame, names: Iterable[str], n_pairs: int) -> dict[str, pd.DataFrame]:
+def _by_cause(
+    frame: pd.DataFrame, names: Iterable[str], n_pairs: int
+) -> dict[str, pd.DataFrame]:
     """`CauseRows` of some causes, from a row per pair and cause."""
     frame = frame.set_index("pair").astype(dict.fromkeys(_NUMBERS, np.float64))
     return {name: frame[frame["cause"] == name].reindex(range(n_pairs)) for name in names}
@@ -201,7 +203,9 @@ def changed_causes(
     blocks = independent_blocks(blocks)
     named = _named(changes, blocks, is_change=True, measured=between)
     causes = [_cause(name, changes[name], blocks) for name in named]
-    return sorted(causes, key=lambda cause: -abs(cause.estimate) / CAUSES[cause.name].resolution)
+    return sorted(
+        causes, key=lambda cause: -abs(cause.estimate) / CAUSES[cause.name].resolution
+    )
 
 
 def change_of(

@@ -258,7 +258,9 @@ def _words_of_both(model: CauseModel, before: float, after: float) -> str:
     """A cause with its amounts in both runs."""
     if abs(after) <= model.resolution:
         sign = "-" if before < 0 else "+"
-        return f"{model.name}: no difference left, before {sign}{size_words(before, model.unit)}"
+        return (
+            f"{model.name}: no difference left, before {sign}{size_words(before, model.unit)}"
+        )
     is_alike = (before < 0) == (after < 0)
     size = size_words(before, model.unit) if is_alike else cause_words(model, before)
     return f"{cause_words(model, after)}, before {size}"

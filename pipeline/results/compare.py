@@ -195,7 +195,9 @@ def _comparison(
     elif not comparison.failed:
         reasons = [f"{name!r}: {reason}" for name, reason in left_out.items()]
         why = "; ".join(reasons[:3]) or "no pair is scored"
-        raise RunError(f"runs {base.folder} and {other.folder}: no pair can be compared ({why})")
+        raise RunError(
+            f"runs {base.folder} and {other.folder}: no pair can be compared ({why})"
+        )
     return comparison
 
 
@@ -208,7 +210,9 @@ def _compare(
     changes = comparison.changes = find_changes(base, other, names, blocks)
     sectors = None
     if comparison.by_direction:
-        directions = (N_SECTORS * blocks[:, None] + np.arange(N_SECTORS)).ravel().astype(np.int32)
+        directions = (
+            (N_SECTORS * blocks[:, None] + np.arange(N_SECTORS)).ravel().astype(np.int32)
+        )
         sectors = ScoredPairs([sector_frame(run, names) for run in runs], directions)
         blocks = np.arange(len(names), dtype=np.int32)
     scores = [run.scores.loc[[*names]] for run in runs]
@@ -223,7 +227,9 @@ def _compare(
     comparison.unfollowed = tuple(unfollowed)
 
 
-def _counted(base: FinishedRun, names: Sequence[str], n_places: int, *, independent: bool) -> str:
+def _counted(
+    base: FinishedRun, names: Sequence[str], n_places: int, *, independent: bool
+) -> str:
     """The numbers of pairs and places, and how the places were recognised."""
     if independent:
         number = "1 pair" if len(names) == 1 else f"{len(names)} pairs"

@@ -25,7 +25,9 @@ LEAST_EXCESS_M = 0.005
 LEAST_PART = 0.03
 
 
-def diagnosis_of(store: RunFolder, record: RunRecord, pair_ids: Sequence[str]) -> Diagnosis | None:
+def diagnosis_of(
+    store: RunFolder, record: RunRecord, pair_ids: Sequence[str]
+) -> Diagnosis | None:
     """The diagnosis of a run; None if no pair is scored, or if it was not diagnosed since its causes changed.
 
     Parameters
@@ -58,7 +60,9 @@ def diagnosis_of(store: RunFolder, record: RunRecord, pair_ids: Sequence[str]) -
 
 
 def confirm(
-    causes: Sequence[Cause], gains_m: Mapping[str, float], distances_m: tuple[float, float, float]
+    causes: Sequence[Cause],
+    gains_m: Mapping[str, float],
+    distances_m: tuple[float, float, float],
 ) -> tuple[list[Cause], list[Cause]]:
     """The causes with the gain of correcting each, largest first, and those whose correction hardly helps.
 
@@ -104,7 +108,9 @@ def _excess(distances_m: tuple[float, float, float]) -> float | None:
     """Distance over that of a second measurement, metres; None if it is within the accuracy of the latter."""
     before_m, _, best_case_m = distances_m
     excess_m = before_m - best_case_m
-    return excess_m if excess_m >= max(LEAST_EXCESS_M, BEST_CASE_ACCURACY * best_case_m) else None
+    return (
+        excess_m if excess_m >= max(LEAST_EXCESS_M, BEST_CASE_ACCURACY * best_case_m) else None
+    )
 
 
 def unexplained_words(diagnosis: Diagnosis) -> str:

@@ -143,7 +143,9 @@ def judge_families(
             worse.append(family.name)
     is_more_right = _is_more_right(pairs)
     for family in families:
-        _decide(family, _consequence(family.name, worse, worse_causes, is_more_right=is_more_right))
+        _decide(
+            family, _consequence(family.name, worse, worse_causes, is_more_right=is_more_right)
+        )
     return tuple(families)
 
 
@@ -179,7 +181,9 @@ def _changes(
 def _clearest_first(change: ScoreChange) -> tuple[float, float]:
     """Key that sorts by p, then by the change in standard deviations of the blocks' changes."""
     difference = change.difference
-    return 2.0 if change.p is None else change.p, -difference.size / (difference.std or math.inf)
+    return 2.0 if change.p is None else change.p, -difference.size / (
+        difference.std or math.inf
+    )
 
 
 def _p_values(

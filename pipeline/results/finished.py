@@ -54,7 +54,9 @@ def record_of_run(folder: Path) -> dict[str, Any]:
                 f"fidpipe run {quoted} --out runs/{folder.resolve().name}; "
                 f"if it holds scans, evaluate them: fidpipe run {quoted} SIM"
             )
-        raise RunError(f"run {shown}: {problem}, expected a folder written by fidpipe run; {hint}")
+        raise RunError(
+            f"run {shown}: {problem}, expected a folder written by fidpipe run; {hint}"
+        )
     record = read_run(folder)
     if not record:
         again = command_again(folder, "DATASET")
@@ -150,7 +152,9 @@ class FinishedRun:
     def refuse_without_tasks(self) -> None:
         """Raises `RunError` without tasks."""
         if not self.record.tasks:
-            raise RunError(f"run {self.folder}: it has no tasks; add them with fidpipe run --tasks")
+            raise RunError(
+                f"run {self.folder}: it has no tasks; add them with fidpipe run --tasks"
+            )
 
     def points(self, pair_id: str, side: str) -> pd.DataFrame:
         """The clean points of a side, (x, y, z) in metres in the real sensor's frame, and the object of each.
@@ -158,7 +162,9 @@ class FinishedRun:
         Columns of the table `ground`, and `community_id`, which is null for ground.
         """
         points = _frame(self._of_side("ground", pair_id, side))
-        labels = _frame(self._of_side("communities", pair_id, side))[["point_id", "community_id"]]
+        labels = _frame(self._of_side("communities", pair_id, side))[
+            ["point_id", "community_id"]
+        ]
         return points.merge(
             labels.astype({"community_id": "Int32"}), on="point_id", how="left", validate="1:1"
         )
@@ -196,7 +202,9 @@ class FinishedRun:
         sides = SIDES if "side" in TABLES[name].of_file else ("",)
         parts = []
         for pair_id in names:
-            parts += [self.store.read_table(name, self._scored(pair_id), side) for side in sides]
+            parts += [
+                self.store.read_table(name, self._scored(pair_id), side) for side in sides
+            ]
         if not parts:
             return TABLES[name].schema.empty_table()
         return pa.concat_tables(
@@ -333,7 +341,9 @@ class FinishedRun:
         Matched objects come first, those with the largest r_lambda before the others. Of an object that is not found
         but has a number fixed by the real side, `sim` is its few simulated points.
         """
-        frame = self.objects_of([pair_id]).sort_values("r_lambda", ascending=False, kind="stable")
+        frame = self.objects_of([pair_id]).sort_values(
+            "r_lambda", ascending=False, kind="stable"
+        )
         rows = {(row["side"], row["community_id"]): row for row in plain_rows(frame)}
         matched = []
         alone = []
@@ -349,7 +359,9 @@ class FinishedRun:
 
     def _of_side(self, table: str, pair_id: str, side: str) -> pa.Table:
         if side not in SIDES:
-            raise RunError(f"run {self.folder}: expected side {' or '.join(SIDES)}, got {side!r}")
+            raise RunError(
+                f"run {self.folder}: expected side {' or '.join(SIDES)}, got {side!r}"
+            )
         return self.store.read_table(table, self._scored(pair_id), side)
 
     def _scored(self, pair_id: str) -> str:

@@ -73,7 +73,9 @@ def kinds_of_change(objects: pd.DataFrame) -> NDArray[np.str_]:
 
 def _steps(objects: pd.DataFrame) -> pd.DataFrame:
     """Change of each score of each object; NaN if a run lacks it."""
-    steps = {name: objects[f"{name}_after"] - objects[f"{name}_before"] for name in QUADRANT_SCORES}
+    steps = {
+        name: objects[f"{name}_after"] - objects[f"{name}_before"] for name in QUADRANT_SCORES
+    }
     return pd.DataFrame(steps, dtype=np.float64)
 
 

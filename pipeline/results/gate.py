@@ -149,7 +149,9 @@ def judge_run(
     notes = [note] if (note := partition_note([run])) else []
     if excess is not None:
         n_both = f"{len(excess.pairs)} of {len(run.scored)} pairs"
-        notes.append(f"excess is over the best case {best_case} ({excess.recipe.words}), {n_both}")
+        notes.append(
+            f"excess is over the best case {best_case} ({excess.recipe.words}), {n_both}"
+        )
     if measures.dataset_is_gone:
         always.remove(UNCHANGED)
         notes.append(
@@ -229,7 +231,9 @@ def judge_comparison(
             fault = change.verdict if change.verdict == "worse" else ""
             checks.append(Check(f"{change.name} is not worse", change.words, fault))
     for family in comparison.families:
-        fault = family.verdict if family.verdict in ("worse", "mixed") and not family.why else ""
+        fault = (
+            family.verdict if family.verdict in ("worse", "mixed") and not family.why else ""
+        )
         checks.append(Check(f"{family.name} is not worse", _found(family), fault))
     lacks_places = comparison.lacks_places and not undecided_ok
     if lacks_places or fail_on == "undecided":
@@ -269,7 +273,9 @@ def parse_word(word: str, bound: Bound) -> Criterion:
         raise SettingsError(
             f"--{bound} {word!r}: expected MEASURE=NUMBER, such as r_lambda.mean=0.4"
         )
-    return Criterion(f"{measure} {'<=' if bound == 'max' else '>='} {text}", measure, bound, limit)
+    return Criterion(
+        f"{measure} {'<=' if bound == 'max' else '>='} {text}", measure, bound, limit
+    )
 
 
 def read_criteria(path: Path) -> list[Criterion]:
@@ -300,7 +306,9 @@ def read_criteria(path: Path) -> list[Criterion]:
             )
         for bound, limit in limits.items():
             if limit is not None:
-                criteria.append(Criterion(entry.name, entry.measure, bound, limit, entry.reason))
+                criteria.append(
+                    Criterion(entry.name, entry.measure, bound, limit, entry.reason)
+                )
     return criteria
 
 

@@ -36,7 +36,15 @@ from .odometry import compare_odometry
 if TYPE_CHECKING:
     import pandas as pd
 
-_QUANTILES = {"min": 0, "q05": 0.05, "q25": 0.25, "median": 0.5, "q75": 0.75, "q95": 0.95, "max": 1}
+_QUANTILES = {
+    "min": 0,
+    "q05": 0.05,
+    "q25": 0.25,
+    "median": 0.5,
+    "q75": 0.75,
+    "q95": 0.95,
+    "max": 1,
+}
 STATISTICS = ("mean", "std", *_QUANTILES)
 #: Of the double validation metric, over objects where a score has them.
 OF_DISTRIBUTIONS = ("bias", "area")
@@ -70,7 +78,13 @@ _COLUMNS = PAIR_SCORES | DOTTED | SENSOR_VALUES | TASK_GAPS
 _EXAMPLES = (
     *(f"{name}.mean" for name in _COLUMNS),
     *(f"objects.{score}.q95" for score in DISTRIBUTED),
-    *("not_found.within_20m", "not_found.share", "extra.within_20m", "extra.share", "matched.min"),
+    *(
+        "not_found.within_20m",
+        "not_found.share",
+        "extra.within_20m",
+        "extra.share",
+        "matched.min",
+    ),
     *(f"pairs.{state}" for state in STATES),
     *(f"causes.{name}" for name in CAUSE_NAMES),
     *(f"tasks.odometry.{measure}" for measure in ODOMETRY_MEASURES),
@@ -143,7 +157,9 @@ class Measures:
         what = "matched object" if label is None else f"matched object of class {label}"
         return _statistic(scores, stat, what, score)
 
-    def _count(self, label: str | None, fate: str, within: str | None, count: str | None) -> float:
+    def _count(
+        self, label: str | None, fate: str, within: str | None, count: str | None
+    ) -> float:
         """Number of objects of a fate: in all, by default, a statistic over pairs, or their share."""
         side = "sim" if fate == "extra" else "real"
         objects = self._objects_of(side, label)

@@ -31,7 +31,9 @@ _KEYS = {
 COLUMNS_OF: dict[str, tuple[str, ...]] = {}
 for _table, _keys in _KEYS.items():
     _known = {"pair_id", "side", "n_points", *_keys}
-    COLUMNS_OF[_table] = tuple(name for name in TABLES[_table].schema.names if name not in _known)
+    COLUMNS_OF[_table] = tuple(
+        name for name in TABLES[_table].schema.names if name not in _known
+    )
 
 #: The shape features of objects, and the name of an object of that shape.
 SHAPES = {"linearity": "linear", "planarity": "planar", "scattering": "scattered"}
@@ -83,7 +85,9 @@ _ALONE = {"real": "not_found", "sim": "extra"}
 _COUNTS = [field.name for field in TABLES["metrics"].schema if pa.types.is_integer(field.type)]
 EXTENTS = ("extent_x", "extent_y", "extent_z")
 #: Names with units, for Python users.
-WITH_UNITS = {f"c{axis}": f"{axis}_m" for axis in "xyz"} | {name: f"{name}_m" for name in EXTENTS}
+WITH_UNITS = {f"c{axis}": f"{axis}_m" for axis in "xyz"} | {
+    name: f"{name}_m" for name in EXTENTS
+}
 
 
 def object_frame(

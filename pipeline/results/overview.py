@@ -238,7 +238,10 @@ def _limits(overview: Overview, record: RunRecord) -> Iterator[tuple[str, str]]:
         yield "pairs", f"{counted}: a verdict on the world {NEEDED}"
     elif n_places < pairs.scored:
         yield "independence", f"{counted}, which count once each"
-    if overview.n_aligned and overview.n_badly_aligned >= _MANY_BADLY_ALIGNED * overview.n_aligned:
+    if (
+        overview.n_aligned
+        and overview.n_badly_aligned >= _MANY_BADLY_ALIGNED * overview.n_aligned
+    ):
         share = f"{100 * overview.n_badly_aligned / overview.n_aligned:.0f} %"
         yield (
             "alignment",

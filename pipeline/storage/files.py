@@ -25,7 +25,9 @@ path_exists = os.path.exists
 _to_canonical_json = json.JSONEncoder(sort_keys=True, allow_nan=False).encode
 
 
-def write_whole(path: Path, content: bytes | memoryview, *, outlasts_power: bool = True) -> None:
+def write_whole(
+    path: Path, content: bytes | memoryview, *, outlasts_power: bool = True
+) -> None:
     """Write a file atomically: next to its path under a dot name, then renamed.
 
     A device such as /dev/null is written to, and stays.

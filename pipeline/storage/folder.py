@@ -247,8 +247,14 @@ def refuse_other_content(name: str, out: Path, kind: str, *, is_own: bool) -> No
     """
     if out.exists() and not out.is_dir():
         raise RunError(f"{name}: expected a folder, got a file; give another folder")
-    if not is_own and out.is_dir() and any(not path.name.startswith(".") for path in out.iterdir()):
-        raise RunError(f"{name}: the folder holds other things than {kind}; give another folder")
+    if (
+        not is_own
+        and out.is_dir()
+        and any(not path.name.startswith(".") for path in out.iterdir())
+    ):
+        raise RunError(
+            f"{name}: the folder holds other things than {kind}; give another folder"
+        )
 
 
 def refuse_overwrite(name: str, lost: str, why: Iterable[str]) -> None:

@@ -129,7 +129,9 @@ class Ledger:
             return None
 
     def _write(self, entry: _PairEntry) -> None:
-        path = self._folder / f"{file_stem(entry.pair_id) if entry.pair_id else _WHOLE_RUN}.json"
+        path = (
+            self._folder / f"{file_stem(entry.pair_id) if entry.pair_id else _WHOLE_RUN}.json"
+        )
         if entry.jobs or entry.failure is not None:
             save_json(path, entry)
         else:

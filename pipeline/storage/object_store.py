@@ -189,7 +189,9 @@ def _tried(url: str, work: Callable[[], Any]) -> Any:
                 raise fault(f"{url}: {reason}") from None
             if pause_s is None:
                 status = _STATUS.search(str(error))
-                reason = f"the server answered {status[1]}" if status else "the connection failed"
+                reason = (
+                    f"the server answered {status[1]}" if status else "the connection failed"
+                )
                 raise StoreError(f"{url}: {reason} (three tries)") from None
             time.sleep(pause_s)
     raise AssertionError

@@ -188,7 +188,9 @@ class RemoteRun:
 
         known: Known = {}
         with ThreadPoolExecutor(_REQUESTS_AT_ONCE) as pool:
-            all_marks = counted(pool.map(get, objects), f"{self.url}: fetched, of {len(objects):,}")
+            all_marks = counted(
+                pool.map(get, objects), f"{self.url}: fetched, of {len(objects):,}"
+            )
             for stored, marks in zip(objects, all_marks, strict=True):
                 known[stored.name] = marks
                 self._renew()
@@ -358,7 +360,9 @@ def _prepare_cache() -> None:
     folder = cache_folder()
     if not folder.name.startswith(TEMPORARY_CACHE):
         return
-    say(f"no home folder: files of URLs are kept in {folder}; FIDPIPE_CACHE names another place")
+    say(
+        f"no home folder: files of URLs are kept in {folder}; FIDPIPE_CACHE names another place"
+    )
     folder.mkdir(mode=0o700, exist_ok=True)
     if folder.lstat().st_uid != os.getuid():
         raise StoreError(

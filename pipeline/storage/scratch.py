@@ -39,7 +39,9 @@ def scratch_folder() -> Iterator[None]:
     if lock is None:
         yield
         return
-    Finalize(None, shutil.rmtree, (folder,), {"ignore_errors": True}, exitpriority=_EXIT_PRIORITY)
+    Finalize(
+        None, shutil.rmtree, (folder,), {"ignore_errors": True}, exitpriority=_EXIT_PRIORITY
+    )
     before = os.environ.get("TMPDIR")
     os.environ["TMPDIR"] = tempfile.tempdir = str(folder)
     try:
@@ -91,7 +93,9 @@ def temporary_space() -> Iterator[None]:
         raise
     except Exception as error:
         cause: BaseException | None = error
-        while cause is not None and not (isinstance(cause, OSError) and cause.errno in NO_SPACE):
+        while cause is not None and not (
+            isinstance(cause, OSError) and cause.errno in NO_SPACE
+        ):
             cause = cause.__cause__ or cause.__context__
         if cause is None:
             raise

@@ -261,7 +261,9 @@ class TableFolder:
     def damaged(self, name: str, cause: str = "") -> RunError:
         """The error of a file that is not as it was stored."""
         why = f" ({cause})" if cause else ""
-        return RunError(f"run {self.folder}: {name} is damaged or gone{why}; run {self.again()}")
+        return RunError(
+            f"run {self.folder}: {name} is damaged or gone{why}; run {self.again()}"
+        )
 
     def again(self) -> str:
         """How to recompute what is damaged."""

@@ -86,7 +86,9 @@ def _range_profiles(sensor: SensorDescription, side: Side) -> FloatArray:
     n_bins = round(360.0 / _BIN_DEG)
     column = ((side.azimuth_deg + 180.0) // _BIN_DEG).astype(np.intp) % n_bins
     cell = sensor.beam_of(side.sensor_points) * n_bins + column
-    n_returns, median_m = medians_by_group(side.range_m, cell, len(sensor.elevation_deg) * n_bins)
+    n_returns, median_m = medians_by_group(
+        side.range_m, cell, len(sensor.elevation_deg) * n_bins
+    )
     return np.where(n_returns > 0, np.log(median_m), np.nan).reshape(-1, n_bins)
 
 
@@ -191,7 +193,9 @@ def second_returns(side: Side, behind_m: float = _BEHIND_M) -> BoolArray:
     """(n,) True for returns this far behind another one of the same ray: equal direction, larger range."""
     next_chord, _ = side.ray_tree.query(side.rays, k=[2], distance_upper_bound=_SAME_RAY)
     rows = np.flatnonzero(np.isfinite(next_chord))  # of rays with several returns
-    _, near = side.ray_tree.query(side.rays[rows], k=_MOST_RETURNS, distance_upper_bound=_SAME_RAY)
+    _, near = side.ray_tree.query(
+        side.rays[rows], k=_MOST_RETURNS, distance_upper_bound=_SAME_RAY
+    )
     nearest_m = np.append(side.range_m, np.inf)[near].min(axis=1)  # the last row: no neighbour
     is_second = np.zeros(len(side.points), dtype=np.bool_)
     is_second[rows] = side.range_m[rows] > nearest_m + behind_m

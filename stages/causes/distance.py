@@ -66,7 +66,9 @@ def best_case_distance(real: Side, sim: Side, aligned: Side, rng: Generator) -> 
     moved = _by_other_rays(real, step, rng)
     real_noise_m = real.sensor.range_noise_m or 0.0
     sim_noise_m = most_noise_m(aligned.sensor)
-    noise_m = min(max(sim_noise_m, real_noise_m), real_noise_m + CAUSES["range noise"].tolerance)
+    noise_m = min(
+        max(sim_noise_m, real_noise_m), real_noise_m + CAUSES["range noise"].tolerance
+    )
     moved += real.rays * rng.normal(0.0, noise_m, len(moved))[:, None]
     is_kept = rng.random(len(moved)) >= (real.sensor.lost_share or 0.0)
     return surface_distance(real.tree, search_tree(moved[is_kept]))
@@ -121,7 +123,9 @@ def _off_share_of(points: FloatArray, other: FloatArray) -> float:
     planes = fit_planes(other, chosen, _NEIGHBOURS)
     offset = chosen - planes.mean
     is_flat = (
-        (planes.scattering < SCATTERED) & ~planes.is_line & ((offset**2).sum(axis=1) < REACH_M**2)
+        (planes.scattering < SCATTERED)
+        & ~planes.is_line
+        & ((offset**2).sum(axis=1) < REACH_M**2)
     )
     limit_m = _OFF_STDS * np.maximum(np.sqrt(planes.variance[:, 0]), _LEAST_STD_M)
     is_off = np.abs((offset * planes.normal).sum(axis=1)) > limit_m

@@ -45,7 +45,9 @@ _LEAST_POINTS = 50  # of a side that has a surface to compare
 _LEAST_MOVED_M = 0.005  # mean displacement whose part in the distance is measured
 _NOISY_M = 0.1  # range error that counts as a whole
 _NOISY_DEG = 0.3  # angular error that counts as a whole
-_MANY_SECOND = 0.002  # share of second returns that are removed before anything else is estimated
+_MANY_SECOND = (
+    0.002  # share of second returns that are removed before anything else is estimated
+)
 _FEWEST_PLACES = 50  # of foliage, or of curved surface
 _LEAF_STEP_M = 0.3
 _FAR_SURFACE_M = 20.0
@@ -137,7 +139,9 @@ def _doubts_of_pair(
     if _is_without_road(real, sim, explained) or _is_above(sim, real):
         doubts[ROAD] = "simulated scan: the road of the real scan is missing"
     elif _is_above(real, sim):
-        doubts[ROAD] = doubts[UNCROPPED] = "real scan: the road of the simulated scan is missing"
+        doubts[ROAD] = doubts[UNCROPPED] = (
+            "real scan: the road of the simulated scan is missing"
+        )
     for name, side, other in (("real", real, sim), ("simulated", sim, real)):
         if box := cropped_box(side.points, other.points):
             low_x, low_y, high_x, high_y = box
@@ -330,7 +334,9 @@ def _amounts(real: Side, sim: Side, recorded: Side, explained: Explained) -> dic
     is_used_real = ~(near(real, parts) | missing.is_beyond | explained.real)
     is_used_sim = ~(near(sim, parts) | explained.sim)
     return {
-        "maximum range": _maximum_range(real.chosen(~explained.real), sim.chosen(~explained.sim)),
+        "maximum range": _maximum_range(
+            real.chosen(~explained.real), sim.chosen(~explained.sim)
+        ),
         "minimum range": _difference(least_range_m(real), least_range_m(sim)),
         "moved parts": _share_of(missing.is_moved),
         "missing parts": _share_of(missing.is_part),
@@ -453,7 +459,9 @@ def _noise_amount(real: SensorDescription, sim: SensorDescription) -> Amount:
     for side, sensor, (_, noise_m) in (("real", real, real_m), ("simulated", sim, sim_m)):
         step_m = sensor.range_quantum_m or 0.0
         if step_m / np.sqrt(12) > noise_m:
-            return Amount(None, reason=f"{side} scan: range steps of {100 * step_m:.3g} cm hide it")
+            return Amount(
+                None, reason=f"{side} scan: range steps of {100 * step_m:.3g} cm hide it"
+            )
     amount = max(sim_m[0] - real_m[1], 0.0) + min(sim_m[1] - real_m[0], 0.0)
     return Amount(amount, real_m[1], sim_m[1])
 
@@ -497,7 +505,9 @@ def _elevation_noise(real: Side, sim: Side, recorded: Side) -> Amount:
     known = _known_difference(a, b, "elevation_noise_deg", "elevation_deg")
     if known.amount is not None or not a.elevation_deg:
         return known
-    is_seen = real.elevation_deg > np.quantile(sim.elevation_deg, 0.001)  # lowest beams may be dead
+    is_seen = real.elevation_deg > np.quantile(
+        sim.elevation_deg, 0.001
+    )  # lowest beams may be dead
     real_deg = blurred_elevation_deg(a, real.chosen(is_seen))
     sim_deg = blurred_elevation_deg(a, recorded)
     if real_deg is not None and sim_deg is not None:

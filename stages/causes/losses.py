@@ -81,10 +81,14 @@ def _fit(
     model = PoissonRegressor(alpha=0.0, tol=1e-8, max_iter=1000)
     fit = model.fit(columns, n_sim / n_real / firings, n_real)
     expected = n_real * firings * fit.predict(columns)
-    unevenness = (((n_sim - expected) ** 2).sum() - expected.sum()) / max((expected**2).sum(), 1.0)
+    unevenness = (((n_sim - expected) ** 2).sum() - expected.sum()) / max(
+        (expected**2).sum(), 1.0
+    )
     coefficients = [fit.intercept_, *fit.coef_.tolist()]
     names = [LOSSES[0], *kinds]
-    shares = {name: 1.0 - float(np.exp(c)) for name, c in zip(names, coefficients, strict=False)}
+    shares = {
+        name: 1.0 - float(np.exp(c)) for name, c in zip(names, coefficients, strict=False)
+    }
     return {UNEVEN: float(unevenness), **shares}
 
 

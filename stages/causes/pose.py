@@ -72,7 +72,9 @@ def undo_elevation_scale(points: FloatArray, scale: float) -> FloatArray:
     range_m = np.hypot(level, points[:, 2])
     new_level = range_m * np.cos(factor * elevation)
     ratio = new_level / np.maximum(level, 1e-9)
-    return np.column_stack([points[:, :2] * ratio[:, None], range_m * np.sin(factor * elevation)])
+    return np.column_stack(
+        [points[:, :2] * ratio[:, None], range_m * np.sin(factor * elevation)]
+    )
 
 
 def _described(real: Side, aligned: Side) -> SensorDescription:

@@ -27,7 +27,9 @@ def foliage_steps(real: Side, sim: Side) -> tuple[IndexArray, FloatArray]:
     planes = real.object_planes
     is_leaf = (planes.scattering >= SCATTERED) & (planes.variance[:, 2] < _LEAF_SPREAD_M**2)
     leaves = real.object_rows[is_leaf]
-    angle, near = sim.ray_tree.query(real.rays[leaves], distance_upper_bound=np.radians(_RAY_DEG))
+    angle, near = sim.ray_tree.query(
+        real.rays[leaves], distance_upper_bound=np.radians(_RAY_DEG)
+    )
     is_met = np.isfinite(angle)
     return near[is_met], sim.range_m[near[is_met]] - real.range_m[leaves[is_met]]
 
@@ -45,7 +47,9 @@ def flat_shapes(real: Side, sim: Side) -> tuple[FloatArray, BoolArray]:
     real_surface = voxel_means(real.points[real.range_m < reach_m], _SHAPE_VOXEL_M)
     sim_surface = voxel_means(sim.points[sim.range_m < reach_m], _SHAPE_VOXEL_M)
     shape = fit_planes(real_surface, places, PLANE_NEIGHBOURS, SHAPE_M)
-    is_broad = (shape.variance[:, 1] > 0.05 * shape.variance[:, 2]) & (shape.scattering < _CURVED)
+    is_broad = (shape.variance[:, 1] > 0.05 * shape.variance[:, 2]) & (
+        shape.scattering < _CURVED
+    )
     is_curved = is_broad & (shape.variance[:, 0] > _CURVED_M**2)
     is_curved &= shape.n_neighbours >= _SHAPE_POINTS
     places = places[is_curved]

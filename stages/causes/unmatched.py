@@ -126,7 +126,9 @@ def _sector(side: Side, n_sectors: int) -> IndexArray:
     return ((side.azimuth_deg + 180.0) * n_sectors // 360.0).astype(np.intp) % n_sectors
 
 
-def _find_exchanged(real: Side, sim: Side) -> tuple[list[tuple[int, int]], BoolArray, BoolArray]:
+def _find_exchanged(
+    real: Side, sim: Side
+) -> tuple[list[tuple[int, int]], BoolArray, BoolArray]:
     """Exchanged beams of the simulated grid, if it has none of the real one; and the points of both sides in them."""
     if real.sensor.elevation_deg:
         for sensor in (sim.sensor, real.sensor):
@@ -183,7 +185,9 @@ def _apart_per_m(density: float) -> float:
     return _APART_PER_M * max(1.5 * density - 2.0, 1.0)
 
 
-def _unmatched(side: Side, other: Side, apart_per_m: float, is_explained: BoolArray) -> Unmatched:
+def _unmatched(
+    side: Side, other: Side, apart_per_m: float, is_explained: BoolArray
+) -> Unmatched:
     """Points of a side without a counterpart; none of them is moved yet."""
     is_apart = ~(near(side, other.tree, apart_per_m) | is_explained)
     is_beyond = side.range_m > other.range_m.max()

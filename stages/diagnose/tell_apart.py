@@ -31,7 +31,9 @@ TREES_ALONE = 20
 GUARD_DEG = 10.0
 _LEAST_POINTS = 20  # of each side in a fold
 _DENSITY_M = 0.5
-_ROW_WEIGHT = 4.0  # of elevation against azimuth, so that the nearest ray is one of the same beam
+_ROW_WEIGHT = (
+    4.0  # of elevation against azimuth, so that the nearest ray is one of the same beam
+)
 #: Features by family. Each is also tested alone: a single regular ray pattern is enough to recognise every point.
 FAMILIES = {
     "surface": (

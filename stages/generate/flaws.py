@@ -174,9 +174,13 @@ def add_clusters(points: FloatArray, share: float, rng: Generator) -> FloatArray
     n_clusters = -(-n_new // _CLUSTER_POINTS)
     direction = rng.normal(size=(n_clusters, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    centre = points[rng.integers(len(points), size=n_clusters)] + _CLUSTER_DISTANCE_M * direction
+    centre = (
+        points[rng.integers(len(points), size=n_clusters)] + _CLUSTER_DISTANCE_M * direction
+    )
     cluster_ids = np.arange(n_new) // _CLUSTER_POINTS
-    return np.vstack([points, centre[cluster_ids] + rng.normal(0.0, _CLUSTER_STD_M, (n_new, 3))])
+    return np.vstack(
+        [points, centre[cluster_ids] + rng.normal(0.0, _CLUSTER_STD_M, (n_new, 3))]
+    )
 
 
 def change_density(points: FloatArray, factor: float, rng: Generator) -> FloatArray:
@@ -244,7 +248,9 @@ def _lose_far(points: FloatArray, share: float, rng: Generator) -> FloatArray:
 def _cut_holes(points: FloatArray, n_holes: float, rng: Generator) -> FloatArray:
     """Remove the points within 1.5 m of `n_holes` random points."""
     centres = points[rng.integers(len(points), size=round(n_holes))]
-    apart, _ = cKDTree(centres).query(points, distance_upper_bound=np.nextafter(_HOLE_M, np.inf))
+    apart, _ = cKDTree(centres).query(
+        points, distance_upper_bound=np.nextafter(_HOLE_M, np.inf)
+    )
     return points[np.isinf(apart)]
 
 
@@ -283,7 +289,9 @@ FLAWS = {
     "blur": Flaw("radius within which surfaces are smoothed, metres", 5, _blur),
     "noise": Flaw("std of the noise on each coordinate, metres", 10, add_noise),
     "ghosts": Flaw("points in ghost clusters of 20, per point", 10, add_clusters),
-    "yaw": Flaw("turn about the vertical, degrees", 180, move_rigidly, -180, is_systematic=True),
+    "yaw": Flaw(
+        "turn about the vertical, degrees", 180, move_rigidly, -180, is_systematic=True
+    ),
     "offset": Flaw(
         "shift in a random horizontal direction, metres", 100, _shift, is_systematic=True
     ),

@@ -30,7 +30,9 @@ class Hits:
     cos_incidence: FloatArray
 
 
-def fire(sensor: SensorModel, start_deg: float = 0.0, step_deg: float | None = None) -> FloatArray:
+def fire(
+    sensor: SensorModel, start_deg: float = 0.0, step_deg: float | None = None
+) -> FloatArray:
     """The beams of one revolution, clockwise seen from above: (n, 3) unit vectors.
 
     They come firing by firing, in each firing laser by laser; x is forward, y is left.
@@ -56,7 +58,9 @@ def fire(sensor: SensorModel, start_deg: float = 0.0, step_deg: float | None = N
     azimuth = np.radians(firing_deg[:, None] + np.array(sensor.azimuth_offset_deg)).ravel()
     elevation = np.tile(np.radians(sensor.elevation_deg), len(firing_deg))
     level = np.cos(elevation)
-    return np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
+    return np.column_stack(
+        [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)]
+    )
 
 
 def require_ray_caster() -> None:

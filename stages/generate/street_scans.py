@@ -44,7 +44,9 @@ class SynthPair:
     kinds: tuple[str, ...]
 
 
-def make_pair(seed: int, index: int, sensor: SensorModel, n_points: int | None = None) -> SynthPair:
+def make_pair(
+    seed: int, index: int, sensor: SensorModel, n_points: int | None = None
+) -> SynthPair:
     """Scans of one street by the real sensor and by the simulator; they depend on the arguments alone.
 
     Parameters
@@ -69,7 +71,9 @@ def make_pair(seed: int, index: int, sensor: SensorModel, n_points: int | None =
     return SynthPair(real, sim, street.kinds)
 
 
-def _scan_street(street: Scene, sensor: SensorModel, step_deg: float, rng: Generator) -> SynthScan:
+def _scan_street(
+    street: Scene, sensor: SensorModel, step_deg: float, rng: Generator
+) -> SynthScan:
     """The real scan, with undetected hits, range noise and quantum; intensity is reflectivity, 0-255."""
     directions = fire(sensor, rng.uniform(0.0, 360.0), step_deg)
     hits = cast_rays(street.triangles, directions)

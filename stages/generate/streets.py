@@ -114,7 +114,9 @@ def _prism(profile: FloatArray, length_m: float) -> FloatArray:
 
     half_m = np.full((len(profile), 1), length_m / 2)
     ends = [np.column_stack([x, profile]) for x in (half_m, -half_m)]
-    return np.asarray(convex_hull(np.concatenate(ends)).subdivide_to_size(_MAX_EDGE_M).triangles)
+    return np.asarray(
+        convex_hull(np.concatenate(ends)).subdivide_to_size(_MAX_EDGE_M).triangles
+    )
 
 
 def _box(length_m: float, width_m: float, height_m: float) -> FloatArray:

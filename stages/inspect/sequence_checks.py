@@ -119,7 +119,9 @@ def find_time_offset(
     sequences : of each stretch of neighbouring frames, the real and the simulated scans in order of
         time
     """
-    misfits: dict[int, list[tuple[float, float]]] = {}  # as paired and shifted, by number of frames
+    misfits: dict[
+        int, list[tuple[float, float]]
+    ] = {}  # as paired and shifted, by number of frames
     for real, sim in sequences:
         paired = [a.misfit_m(b) for a, b in zip(real, sim, strict=True)]
         for i, scan in enumerate(real):

@@ -23,7 +23,9 @@ _SLACK_M = 1e-10  # rounding of dual prices: an arc must promise more than this 
 _MOST_GAP_M = 1e-9  # a whole assignment may cost this much per node above its proven minimum
 _ROUNDING = 1e-12  # and this share of its cost
 _ROUNDING_OF_SQUARE = 1e-14  # relative, of a difference of squares
-_OFFSET_STEP_M = 1024.0  # a power of two: the difference is exact, and nearer sets do not change
+_OFFSET_STEP_M = (
+    1024.0  # a power of two: the difference is exact, and nearer sets do not change
+)
 _BLOCK_DISTANCES = 2**20
 
 #: Candidates of each node among a third of the nodes, at most 33; few need more rounds, many make rounds slow.
@@ -190,7 +192,9 @@ def _solve(
         check_marginals=False,
     )
     if log["warning"]:
-        raise StageError(f"alignment of {n} nodes: the network simplex failed ({log['warning']})")
+        raise StageError(
+            f"alignment of {n} nodes: the network simplex failed ({log['warning']})"
+        )
     chosen = plan.data > 0.5
     sim_of_real = np.full(n, -1)
     sim_of_real[plan.row[chosen]] = plan.col[chosen]
@@ -221,7 +225,9 @@ def _check_certificate(
     i, j = np.divmod(promising, n)
     excess_m = prices[0][i] + prices[1][j] - _lengths(a[i], b[j])
     cost_m = float(_lengths(a, b[sim_of_real]).sum())
-    least_m = float(prices[0].sum() + prices[1].sum()) - n * float(excess_m.max(initial=_SLACK_M))
+    least_m = float(prices[0].sum() + prices[1].sum()) - n * float(
+        excess_m.max(initial=_SLACK_M)
+    )
     is_one_to_one = np.array_equal(np.sort(sim_of_real), np.arange(n))
     if not (is_one_to_one and cost_m - least_m <= n * _MOST_GAP_M + _ROUNDING * cost_m):
         raise StageError(

@@ -33,7 +33,9 @@ _END = _FACTORS.ctypes.data + _FACTORS.nbytes
 _ZERO, _ONE, _MINUS, _MINUS_HALF = range(_FACTORS.ctypes.data, _END, _BYTES)
 
 
-def reduce_to_band(symmetric: scipy.sparse.csr_matrix, width: int, kernels: Kernels) -> FloatArray:
+def reduce_to_band(
+    symmetric: scipy.sparse.csr_matrix, width: int, kernels: Kernels
+) -> FloatArray:
     """Band matrix with the eigenvalues of a symmetric one, in LAPACK's lower band storage, (width + 1, n) float64.
 
     For each block of `width` columns, the QR factorisation of the part below the target band is

@@ -29,7 +29,9 @@ def eigenvalues(symmetric: scipy.sparse.csr_matrix) -> FloatArray:
         dense = symmetric.toarray(order="F")
         return scipy.linalg.eigvalsh(dense, overwrite_a=True, check_finite=False)
     band = reduce_to_band(symmetric, BAND_WIDTH, kernels)
-    return scipy.linalg.eigvals_banded(band, lower=True, overwrite_a_band=True, check_finite=False)
+    return scipy.linalg.eigvals_banded(
+        band, lower=True, overwrite_a_band=True, check_finite=False
+    )
 
 
 def spectral_norm(symmetric: scipy.sparse.csr_matrix) -> float:

@@ -50,10 +50,14 @@ def adjacency(n_nodes: int, edges: Edges) -> scipy.sparse.csr_matrix:
 def upper_half(n_nodes: int, edges: Edges) -> scipy.sparse.csr_matrix:
     """Part of the adjacency matrix above its diagonal, (n, n) CSR float32."""
     starts = np.searchsorted(edges.src, np.arange(n_nodes + 1))
-    return scipy.sparse.csr_matrix((edges.length_m, edges.dst, starts), shape=(n_nodes, n_nodes))
+    return scipy.sparse.csr_matrix(
+        (edges.length_m, edges.dst, starts), shape=(n_nodes, n_nodes)
+    )
 
 
-def connected_nodes(n_nodes: int, src: NDArray[np.integer], dst: NDArray[np.integer]) -> IndexArray:
+def connected_nodes(
+    n_nodes: int, src: NDArray[np.integer], dst: NDArray[np.integer]
+) -> IndexArray:
     """Connected component of each node, (n,), numbered from 0.
 
     Parameters
@@ -94,7 +98,9 @@ def connected_points(points: FloatArray, link_m: float) -> IndexArray:
         return np.empty(0, dtype=int)
     bound = link_m * (1 + 1e-9)  # scipy's is exclusive
     k = np.arange(1, min(n, _NEAREST + 1) + 1)  # the point itself is the first
-    distance_m, nearest = scipy.spatial.cKDTree(points).query(points, k, distance_upper_bound=bound)
+    distance_m, nearest = scipy.spatial.cKDTree(points).query(
+        points, k, distance_upper_bound=bound
+    )
     is_linked = distance_m <= link_m
     labels = connected_nodes(n, np.nonzero(is_linked)[0], nearest[is_linked])
     dense = np.flatnonzero(is_linked[:, -1])

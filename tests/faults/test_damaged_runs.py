@@ -74,7 +74,9 @@ FEW = [("metrics", "flipped"), ("communities", "truncated"), ("pairs", "zeroed")
 @pytest.mark.parametrize(
     ("table", "harm"), some_of([(table, harm) for table in ALL_TABLES for harm in HARMS], FEW)
 )
-def test_a_damaged_table_is_seen_and_it_alone_is_made_again(again, finished, dataset, table, harm):
+def test_a_damaged_table_is_seen_and_it_alone_is_made_again(
+    again, finished, dataset, table, harm
+):
     rng = random.Random(f"{table} {harm}")
     for _ in range(N_FLIPS if harm == "flipped" else 1):
         path = rng.choice(tables_of(again, table))
@@ -99,7 +101,9 @@ OTHERS = [(harm, 0) for harm in HARMS if harm != "flipped"]
 def test_a_damaged_ledger_changes_no_result(again, finished, dataset, harm, seed):
     """The jobs of the pair, or the hashes of the input files, are computed again."""
     rng = random.Random(seed)
-    path = rng.choice(sorted((again / LEDGER).glob("[!_]*.json")) + [again / LEDGER / INPUT_HASHES])
+    path = rng.choice(
+        sorted((again / LEDGER).glob("[!_]*.json")) + [again / LEDGER / INPUT_HASHES]
+    )
     HARMS[harm](path, rng)
     assert FinishedRun(again).rows == FinishedRun(finished).rows
     outcome = run(dataset, again)
@@ -128,7 +132,9 @@ def test_a_damaged_record_is_named_and_made_again(again, finished, dataset, harm
 
 
 @pytest.mark.parametrize("table", some_of([*FOLDERS, "pairs"], ["metrics"]))
-def test_a_bit_that_the_disk_loses_is_seen_though_no_time_changes(again, finished, dataset, table):
+def test_a_bit_that_the_disk_loses_is_seen_though_no_time_changes(
+    again, finished, dataset, table
+):
     path = tables_of(again, table)[0]
     name = str(path.relative_to(again))
     flip_bit(path, random.Random(table))
@@ -161,7 +167,9 @@ def test_a_cause_that_the_catalogue_does_not_have_is_ignored(again, finished):
     def rename(rows):
         index = rows.schema.get_field_index("cause")
         names = ["phase of the moon", *rows["cause"].to_pylist()[1:]]
-        return rows.set_column(index, rows.schema.field(index), pa.array(names, rows["cause"].type))
+        return rows.set_column(
+            index, rows.schema.field(index), pa.array(names, rows["cause"].type)
+        )
 
     for path in tables_of(again, "causes"):
         rewrite(again, f"causes/{path.name}", rename)

@@ -26,7 +26,13 @@ def test_a_run_without_its_cluster_removes_nothing(again, dataset, monkeypatch):
     monkeypatch.setattr(cluster, "_CONNECT_TIMEOUT_S", 1)
     before = contents(again)
     with pytest.raises(RunError, match=NO_CLUSTER):
-        run(dataset, again, load(None, ["communities.seed=3"]), workers=None, scheduler=NO_CLUSTER)
+        run(
+            dataset,
+            again,
+            load(None, ["communities.seed=3"]),
+            workers=None,
+            scheduler=NO_CLUSTER,
+        )
     assert contents(again) == before
     assert run(dataset, again).n_made == 0
 
@@ -66,7 +72,10 @@ def test_results_of_an_older_version_are_not_replaced_unasked(again, dataset):
 
 
 def test_a_setting_that_replaces_nothing_needs_no_leave(again, dataset):
-    assert run(dataset, again, load(None, ["metrics.baselines=chamfer"]), replace=False).n_made == 2
+    assert (
+        run(dataset, again, load(None, ["metrics.baselines=chamfer"]), replace=False).n_made
+        == 2
+    )
     assert run(dataset, again, load(None, ["machine.memory_gib=4"]), replace=False).n_made == 0
 
 
@@ -146,7 +155,9 @@ def test_an_interrupt_while_python_collects_garbage_is_not_lost(dataset, tmp_pat
 def test_what_killed_workers_leave_is_removed_without_a_word():
     left = "from multiprocessing import resource_tracker; resource_tracker.register('/fidpipe-left', 'semaphore')"
     code = f"from fidpipe.pipeline.engine import prefork; prefork.start(); {left}"
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    ended = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     assert ended.stderr == ""
 
 

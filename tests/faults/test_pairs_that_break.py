@@ -133,7 +133,9 @@ def test_a_pair_whose_reader_breaks_fails_alone_and_is_named(
     with trap(dataset, what):
         started = Started("run", dataset, "--out", out, "--workers", workers, *words)
         code, errors = started.end()
-        named = [line for line in lines_of(errors) if re.search(f"pair {POISON}: .*{reason}", line)]
+        named = [
+            line for line in lines_of(errors) if re.search(f"pair {POISON}: .*{reason}", line)
+        ]
         assert (code, len(named)) == (3, 1), errors
         assert "Traceback" not in errors
         assert n_lost(out, undisturbed) == 1

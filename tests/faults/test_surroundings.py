@@ -64,7 +64,9 @@ def test_scans_that_change_and_change_back_between_two_runs_change_nothing(
     assert_resumes(data, out, finished)
 
 
-def test_files_from_the_future_and_the_past_are_judged_by_what_they_hold(data, finished, tmp_path):
+def test_files_from_the_future_and_the_past_are_judged_by_what_they_hold(
+    data, finished, tmp_path
+):
     out = tmp_path / "run"
     run(data, out)
     for i, path in enumerate(sorted([*out.rglob("*.parquet"), *data.rglob("*.bin")])):

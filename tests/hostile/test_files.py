@@ -221,7 +221,9 @@ def test_a_file_name_that_is_no_text_is_named(tmp_path):
 def repeated(n):
     """Rows of metres and whole intensities; a thousand different ones again and again."""
     rng = np.random.default_rng(3)
-    rows = np.column_stack([rng.uniform(-80, 80, (1000, 3)).round(3), rng.integers(0, 255, 1000)])
+    rows = np.column_stack(
+        [rng.uniform(-80, 80, (1000, 3)).round(3), rng.integers(0, 255, 1000)]
+    )
     return np.tile(rows, (n // 1000, 1)).astype("<f4")
 
 
@@ -270,4 +272,6 @@ def test_each_real_scan_is_read(real_data):
     assert len(files) > 20
     for path in files:
         columns = ("x", "y", "z") if "lumpi" in path.parts else None
-        assert all(len(read_scan(frame, columns).points) > 500 for frame in scans_of(path)), path
+        assert all(len(read_scan(frame, columns).points) > 500 for frame in scans_of(path)), (
+            path
+        )

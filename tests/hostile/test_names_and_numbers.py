@@ -85,7 +85,8 @@ def test_any_settings_are_taken_or_refused(values):
 
 
 @given(
-    st.sampled_from(["graph.k", "input.max_range_m", "matching.delta_m", "communities.seed"]), TEXT
+    st.sampled_from(["graph.k", "input.max_range_m", "matching.delta_m", "communities.seed"]),
+    TEXT,
 )
 def test_any_word_is_a_setting_or_is_refused(name, text):
     with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
@@ -146,7 +147,8 @@ def test_any_numbers_are_a_rigid_motion_or_are_refused(numbers):
 
 @given(
     st.dictionaries(
-        st.sampled_from(["x", "y", "z", "label", "ring", "time", "i"]), st.lists(SCALAR, max_size=4)
+        st.sampled_from(["x", "y", "z", "label", "ring", "time", "i"]),
+        st.lists(SCALAR, max_size=4),
     )
 )
 def test_any_columns_are_a_scan_or_are_refused(columns):

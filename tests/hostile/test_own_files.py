@@ -106,7 +106,8 @@ def forged(folder, content):
 
 
 @pytest.mark.parametrize(
-    "name", ["../victim", "metrics/../../victim", "/etc/hostname", "metrics/.hidden", "run.json"]
+    "name",
+    ["../victim", "metrics/../../victim", "/etc/hostname", "metrics/.hidden", "run.json"],
 )
 def test_a_ledger_that_names_a_file_elsewhere_is_not_believed(again, dataset, tmp_path, name):
     victim = tmp_path / "victim"
@@ -120,7 +121,8 @@ def test_a_ledger_that_names_a_file_elsewhere_is_not_believed(again, dataset, tm
 
 
 @pytest.mark.parametrize(
-    "content", [5, [[]], [None], "text", {"pair_id": "000", "jobs": [{"stage": 1}], "failure": 5}]
+    "content",
+    [5, [[]], [None], "text", {"pair_id": "000", "jobs": [{"stage": 1}], "failure": 5}],
 )
 def test_an_entry_of_another_shape_counts_as_absent(again, content):
     forged(again, content)
@@ -131,7 +133,9 @@ def test_a_cause_that_only_another_version_knew_is_left_out(again):
     """And one of this version that its table lacks is unknown."""
 
     def rename(causes):
-        names = ["old cause" if name == "height" else name for name in causes["cause"].to_pylist()]
+        names = [
+            "old cause" if name == "height" else name for name in causes["cause"].to_pylist()
+        ]
         return causes.set_column(
             causes.schema.get_field_index("cause"), causes.schema.field("cause"), [names]
         )

@@ -78,7 +78,9 @@ def clean(
         q = _ROS_AXES[frame](*p)
         if T is not None:
             q = [T[r, 0] * q[0] + T[r, 1] * q[1] + T[r, 2] * q[2] + T[r, 3] for r in range(3)]
-        if include_box and not all(include_box[a] <= q[a] <= include_box[a + 3] for a in range(3)):
+        if include_box and not all(
+            include_box[a] <= q[a] <= include_box[a + 3] for a in range(3)
+        ):
             continue
         if settings["voxel_m"]:
             voxel = tuple(math.floor(c / settings["voxel_m"]) for c in q)
@@ -122,7 +124,8 @@ def ground(
     values, vectors = np.linalg.eigh(np.cov(((points - points.mean(axis=0)) / scale).T))
     chosen = max(range(3), key=lambda i: abs(vectors[2, i]))
     is_unique = (
-        min(abs(values[i] - values[chosen]) for i in range(3) if i != chosen) > _ALIKE * values[2]
+        min(abs(values[i] - values[chosen]) for i in range(3) if i != chosen)
+        > _ALIKE * values[2]
     )
     axis = vectors[:, chosen] if is_unique else default_axis
     axis = axis if axis[2] > 0 else -axis
@@ -203,7 +206,9 @@ def variance_loss(
     removed = height < threshold_m
     if loss == "total":
         whole = float(np.trace(np.cov(points.T, bias=True)))
-        kept = float(np.trace(np.cov(points[~removed].T, bias=True))) if not removed.all() else 0.0
+        kept = (
+            float(np.trace(np.cov(points[~removed].T, bias=True))) if not removed.all() else 0.0
+        )
         return abs(kept - whole) / whole if whole > 0 else 0.0
     counted = [h for h in height[removed].tolist() if h > peak_m - _DEPTH_M]
     whole = float(np.var(height) * len(height))
@@ -326,7 +331,9 @@ def canonical(
     for node in range(len(labels)) if order is None else order:
         if labels[node] >= 0:
             members.setdefault(int(labels[node]), []).append(node)
-    ranked = sorted(members.values(), key=len, reverse=True)  # of equal sizes the first stays first
+    ranked = sorted(
+        members.values(), key=len, reverse=True
+    )  # of equal sizes the first stays first
     new = {node: i for i, nodes in enumerate(ranked) for node in nodes}
     return [new.get(node, -1) for node in range(len(labels))]
 
@@ -449,9 +456,9 @@ def cdc(real: NDArray[np.float64], sim: NDArray[np.float64]) -> float:
     """
 
     def one_way(xs: NDArray[np.float64], ys: NDArray[np.float64]) -> float:
-        return math.fsum(1 - math.exp(-(d**2)) for d in nearest_distances(xs, ys).tolist()) / len(
-            xs
-        )
+        return math.fsum(
+            1 - math.exp(-(d**2)) for d in nearest_distances(xs, ys).tolist()
+        ) / len(xs)
 
     return one_way(real, sim) + one_way(sim, real)
 

@@ -66,7 +66,10 @@ def pieces(
             bearing_deg = math.degrees(math.atan2(about["cy"], about["cx"]))
             low = float(min(height_m[members]))
             found.append(
-                (members, place | {"piece_id": piece, "bearing_deg": bearing_deg, "height_m": low})
+                (
+                    members,
+                    place | {"piece_id": piece, "bearing_deg": bearing_deg, "height_m": low},
+                )
             )
     return found
 
@@ -88,11 +91,14 @@ def fates(
             distance_m = math.hypot(*(a[f"c{axis}"] - b[f"c{axis}"] for axis in "xyz"))
             sizes = [(a[f"extent_{axis}"], b[f"extent_{axis}"]) for axis in "xyz"]
             is_like = all(
-                abs(own - other) <= max(_SLACK_M, _SLACK * max(own, other)) for own, other in sizes
+                abs(own - other) <= max(_SLACK_M, _SLACK * max(own, other))
+                for own, other in sizes
             )
             if is_like and round(distance_m, _ROUNDED_DIGITS) <= _MOVED_WITHIN_M:
                 apart[i, j] = round(distance_m, _ROUNDED_DIGITS)
-    ids = [("real", i) for i in range(len(missing))] + [("sim", j) for j in range(len(invented))]
+    ids = [("real", i) for i in range(len(missing))] + [
+        ("sim", j) for j in range(len(invented))
+    ]
     move: dict[str, float | None] = {f"moved_{axis}_m": None for axis in "xyz"}
     rows: dict[tuple[str, int], dict[str, Any]] = {
         (side, i): {"side": side, "piece_id": i, "fate": "gone", "partner_id": None} | move

@@ -94,7 +94,9 @@ def partners(
     for i, candidates in enumerate(near):
         whole = of_beam.get(beams[i], 0.0)
         phase = whole + (of_block.get(blocks[i], 0.0) - whole + 0.5) % 1.0 - 0.5
-        pairs += [(math.hypot(azimuth - phase, upward), i, j) for azimuth, upward, j in candidates]
+        pairs += [
+            (math.hypot(azimuth - phase, upward), i, j) for azimuth, upward, j in candidates
+        ]
     found: dict[int, int] = {}
     taken = set()
     for apart, i, j in sorted(pairs):
@@ -141,8 +143,19 @@ def scores(rays: Rays) -> dict[str, float | None]:
     found: dict[str, float | None] = {"n_rays": n}
     found |= {f"rays_{name}": count[name] / n if n else None for name in _OUTCOMES[:-1]}
     for name, hits in (("hit", n_both), ("drop", count["none"])):
-        found[f"rays_{name}_f1"] = hits / (hits + (n - n_both) / 2) if hits + n - n_both else None
-    names = ("bias_m", "bias_low_m", "bias_high_m", "scale", "mae_m", "medae_m", "p90_m", "rmse_m")
+        found[f"rays_{name}_f1"] = (
+            hits / (hits + (n - n_both) / 2) if hits + n - n_both else None
+        )
+    names = (
+        "bias_m",
+        "bias_low_m",
+        "bias_high_m",
+        "scale",
+        "mae_m",
+        "medae_m",
+        "p90_m",
+        "rmse_m",
+    )
     if not n_both:
         return found | {f"rays_{name}": None for name in names}
     both = np.isin(outcome, _OUTCOMES[:3])
@@ -159,7 +172,9 @@ def scores(rays: Rays) -> dict[str, float | None]:
         *np.quantile(abs(errors), (0.5, 0.9)),
         math.sqrt((errors**2).mean()),
     )
-    return found | {f"rays_{name}": float(value) for name, value in zip(names, values, strict=True)}
+    return found | {
+        f"rays_{name}": float(value) for name, value in zip(names, values, strict=True)
+    }
 
 
 def intensity_scores(
@@ -196,7 +211,9 @@ def intensity_scores(
         elif (shares["range"] or 0.0) >= 0.97:
             notes.append(f"{side}: a function of range alone")
     found["intensity_note"] = "; ".join(notes) or None
-    both = (rays["outcome"] == "same") & ~np.isnan(intensity["real"]) & ~np.isnan(intensity["sim"])
+    both = (
+        (rays["outcome"] == "same") & ~np.isnan(intensity["real"]) & ~np.isnan(intensity["sim"])
+    )
     if both.sum() < 100:
         return found
     real = intensity["real"][both]
@@ -212,7 +229,8 @@ def intensity_scores(
     groups = [np.flatnonzero((own == bins.T).all(axis=1)) for own in np.unique(bins, axis=1).T]
     large = [own for own in groups if len(own) >= 10]
     total = sum(
-        len(own) * float(stats.wasserstein_distance(ranks[0][own], ranks[1][own])) for own in large
+        len(own) * float(stats.wasserstein_distance(ranks[0][own], ranks[1][own]))
+        for own in large
     )
     varies = np.ptp(real) > 0 and np.ptp(sim) > 0
     return found | {

@@ -66,7 +66,9 @@ def ground(pair):
         if pair.settings.ground.method != "patchwork":
             threshold_m = -math.inf if cut["threshold_m"] is None else cut["threshold_m"]
             is_tied = np.abs(heights - threshold_m) <= ROUNDING_M
-            is_ground = (heights < threshold_m) | _on_real_road(pair, side, heights - cut["peak_m"])
+            is_ground = (heights < threshold_m) | _on_real_road(
+                pair, side, heights - cut["peak_m"]
+            )
             rows["is_ground"] = np.where(is_tied, table["is_ground"], is_ground)
         yield pair.rows("ground", rows, side)
         n_ground = int(table["is_ground"].sum())
@@ -97,7 +99,9 @@ def _cut(pair, side):
             if real["threshold_m"] is not None:
                 cut["threshold_m"] = real["threshold_m"] + offset_m
             limits_m = cut["threshold_m"] or 0.0, cut["peak_m"]
-            cut["loss"] = literal_method.variance_loss(points, heights, *limits_m, settings.loss)
+            cut["loss"] = literal_method.variance_loss(
+                points, heights, *limits_m, settings.loss
+            )
     if settings.method != "pca":
         cut |= {"threshold_m": None, "loss": None, "iterations": None}
     return cut, heights, is_unique
@@ -125,7 +129,8 @@ def _on_real_road(pair, side, heights_m):
         ground_m = np.where(is_real_ground, distances_m, np.inf)
         nearest = np.lexsort((*real_points.T[::-1], ground_m))[0]
         on_road[i] = (
-            ground_m[nearest] <= 1.0 and heights_m[i] - real_heights_m[nearest] <= settings.prior_m
+            ground_m[nearest] <= 1.0
+            and heights_m[i] - real_heights_m[nearest] <= settings.prior_m
         )
     return on_road
 
@@ -139,7 +144,11 @@ def graph(pair):
         edges = literal_method.edges(points, settings.k, settings.tau_m, rule, settings.ties)
         src, dst = np.array(edges, dtype=int).reshape(-1, 2).T
         length_m = literal_method.distances(points[dst], points[src]).astype(np.float32)
-        rows = {"src": stored.point_ids[src], "dst": stored.point_ids[dst], "length_m": length_m}
+        rows = {
+            "src": stored.point_ids[src],
+            "dst": stored.point_ids[dst],
+            "length_m": length_m,
+        }
         yield pair.rows("graph", rows, side)
 
 
@@ -156,7 +165,9 @@ def communities(pair):
                 gain = literal_method.best_merge_gain(stored.labels, *stored.edges)
                 name = "modularity gained by merging two communities"
                 yield pair.values("communities", {name: max(0.0, gain)}, {name: 0.0})
-        yield pair.rows("communities", {"point_id": stored.point_ids, "community_id": labels}, side)
+        yield pair.rows(
+            "communities", {"point_id": stored.point_ids, "community_id": labels}, side
+        )
 
 
 def _labels_of_graph(pair, stored):
@@ -214,7 +225,9 @@ def objects(pair):
         rows = []
         for community in range(n_objects):
             members = stored.members(community)
-            row = dict.fromkeys((*literal_method.PLACE, *literal_method.SHAPE)) | {"n_points": 0}
+            row = dict.fromkeys((*literal_method.PLACE, *literal_method.SHAPE)) | {
+                "n_points": 0
+            }
             if len(members):
                 row = literal_method.describe(stored.points[members])
             label = _most_frequent(point_labels.iloc[members])
@@ -276,7 +289,9 @@ def _optimal_total(pair, real, sim):
     for match in pair.matches:
         total += cost[match["real_id"], match["sim_id"]]
     name = "mean distance, m"
-    return pair.values("matching", {name: total / n}, {name: literal_method.least_total(cost) / n})
+    return pair.values(
+        "matching", {name: total / n}, {name: literal_method.least_total(cost) / n}
+    )
 
 
 def coverage(pair):
@@ -353,7 +368,9 @@ def _roughness(planes, sim_planes):
         "roughness_real_m": float(np.median(real)),
         "roughness_sim_m": float(np.median(sim)),
         "roughness_bias_m": bias_m,
-        "roughness_area_m": literal_surfaces.area_between(real.tolist(), (sim - bias_m).tolist()),
+        "roughness_area_m": literal_surfaces.area_between(
+            real.tolist(), (sim - bias_m).tolist()
+        ),
     }
 
 
@@ -413,7 +430,9 @@ def _outcomes(pair, stored):
                 nearest_m = literal_method.distances(points[1], points[0][i]).min()
         row = {name: ray[name] for name in ("beam", "column", "sim_point_id")}
         row["real_range_m"] = real_range_m
-        row["outcome"] = literal_rays.outcome(real_range_m, ray["sim_range_m"], noise_m, nearest_m)
+        row["outcome"] = literal_rays.outcome(
+            real_range_m, ray["sim_range_m"], noise_m, nearest_m
+        )
         rows.append(row)
     return rows
 
@@ -494,7 +513,9 @@ def _alignment_cost(pair, match):
     n = len(cost)
     name = "mean distance of aligned nodes, m"
     stored = math.fsum(np.diag(cost)) / n
-    return pair.values("selection", {name: stored}, {name: literal_method.least_total(cost) / n})
+    return pair.values(
+        "selection", {name: stored}, {name: literal_method.least_total(cost) / n}
+    )
 
 
 def _selected(pair, stored_side, members, stored):
@@ -503,7 +524,9 @@ def _selected(pair, stored_side, members, stored):
     The stored nodes are accepted if no other node has more influence, up to rounding.
     """
     side = stored_side.side
-    influence = literal_method.influence(stored_side.laplacian(members), pair.settings.selection.t)
+    influence = literal_method.influence(
+        stored_side.laplacian(members), pair.settings.selection.t
+    )
     of_node = dict(zip(members.tolist(), influence.tolist(), strict=True))
     chosen = stored_side.index(stored[f"{side}_point_id"]).tolist()
     last = max(zip(-stored[f"{side}_influence"], chosen, strict=True))
@@ -512,7 +535,9 @@ def _selected(pair, stored_side, members, stored):
         least = of_node[node] - 1e-11 * (1 + of_node[node])
         is_right = is_right and (-round(least, 9), node) > last
     if not is_right:
-        chosen = sorted(of_node, key=lambda node: (-round(of_node[node], 9), node))[: len(stored)]
+        chosen = sorted(of_node, key=lambda node: (-round(of_node[node], 9), node))[
+            : len(stored)
+        ]
     elif side == "real":
         order = sorted(zip(-stored["real_influence"], chosen, strict=True))
         chosen = [node for _, node in order]

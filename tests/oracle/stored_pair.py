@@ -98,7 +98,9 @@ class StoredPair:
         """All rows of a table, recomputed, next to the stored ones."""
         keys = list(TABLES[table].keys)
         frame = pd.DataFrame(recomputed, columns=None if len(recomputed) else keys)
-        frame = frame.sort_values(keys, key=lambda column: column.replace(-1, np.inf))  # nulls last
+        frame = frame.sort_values(
+            keys, key=lambda column: column.replace(-1, np.inf)
+        )  # nulls last
         return Recomputed(table, self.table(table, side).set_index(keys), frame.set_index(keys))
 
     def values(self, table, stored, recomputed):
@@ -157,7 +159,9 @@ class StoredSide:
         rows = np.concatenate([src, dst])
         columns = np.concatenate([dst, src])
         n_points = len(self.points)
-        return sparse.csr_array((np.tile(length_m, 2), (rows, columns)), shape=(n_points, n_points))
+        return sparse.csr_array(
+            (np.tile(length_m, 2), (rows, columns)), shape=(n_points, n_points)
+        )
 
     def laplacian(self, nodes):
         """Dense Laplacian of the graph among some points."""

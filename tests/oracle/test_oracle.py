@@ -58,7 +58,9 @@ GROUND = (
     ["ground.shared=true"],
     ["ground.method=none"],
 )
-CHOSEN = st.fixed_dictionaries({name: st.sampled_from(values) for name, values in CHOICES.items()})
+CHOSEN = st.fixed_dictionaries(
+    {name: st.sampled_from(values) for name, values in CHOICES.items()}
+)
 SCENES = st.fixed_dictionaries(
     {
         "seed": st.integers(0, 99),
@@ -122,7 +124,9 @@ def test_tables_of_drawn_scenes_are_the_literal_ones(tmp_path_factory, n_example
         folder = tmp_path_factory.mktemp("drawn")
         write_drawn_scene(folder / "data", **scene)
         words = [f"{name}={value}" for name, value in chosen.items() if value is not None]
-        outcome = run(folder / "data", folder / "run", load(None, [*partition, *ground, *words]))
+        outcome = run(
+            folder / "data", folder / "run", load(None, [*partition, *ground, *words])
+        )
         assert outcome.failures == {}
         assert_agrees(folder / "run")
 
@@ -136,17 +140,25 @@ def test_tables_of_lattices_with_equal_distances_are_the_literal_ones(tmp_path, 
     real = np.vstack([lattice * 0.5 + [6, 4, -1], others])
     sim = np.vstack([lattice[:58] * 0.5 + [6, 4, -1], others])
     write_pair(tmp_path / "data", real, sim)
-    run(tmp_path / "data", tmp_path / "run", load(None, [word, "ground.method=none", "graph.k=6"]))
+    run(
+        tmp_path / "data",
+        tmp_path / "run",
+        load(None, [word, "ground.method=none", "graph.k=6"]),
+    )
     assert_agrees(tmp_path / "run")
 
 
 @pytest.mark.parametrize("preset", ["paper", "reference"])
 @pytest.mark.parametrize("half_angle_deg", some_of([15, 45], [15]))
-def test_tables_of_a_sector_of_a_real_pair_are_literal(real_data, tmp_path, preset, half_angle_deg):
+def test_tables_of_a_sector_of_a_real_pair_are_literal(
+    real_data, tmp_path, preset, half_angle_deg
+):
     for side in ("real", "sim"):
         points = read_scan(real_data / "kitti_twin" / side / "000002.bin").points
         azimuth_deg = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
-        write_bin(tmp_path / "data" / side / "a.bin", points[np.abs(azimuth_deg) < half_angle_deg])
+        write_bin(
+            tmp_path / "data" / side / "a.bin", points[np.abs(azimuth_deg) < half_angle_deg]
+        )
     run(tmp_path / "data", tmp_path / "run", load(None, preset=preset))
     assert len(FinishedRun(tmp_path / "run").table("rays"))
     assert_agrees(tmp_path / "run")
@@ -207,8 +219,14 @@ def test_recompute_names_the_stage_of_a_changed_value(tmp_path, capsys):
 
 
 def test_the_literal_implementation_imports_no_code_of_the_stages():
-    for path in [*FOLDER.glob("literal_*.py"), FOLDER / "stored_pair.py", FOLDER / "recompute.py"]:
+    for path in [
+        *FOLDER.glob("literal_*.py"),
+        FOLDER / "stored_pair.py",
+        FOLDER / "recompute.py",
+    ]:
         assert not re.search(r"fidpipe\.(stages|pipeline\.jobs)", path.read_text()), path
     for path in FOLDER.glob("literal_*.py"):
         if path.name != "literal_tables.py":  # reads the stored tables
-            assert not re.search(r"^\s*(import|from) fidpipe", path.read_text(), re.MULTILINE), path
+            assert not re.search(
+                r"^\s*(import|from) fidpipe", path.read_text(), re.MULTILINE
+            ), path

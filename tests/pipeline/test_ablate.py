@@ -10,7 +10,12 @@ from matplotlib.image import imread
 from fidpipe.pipeline.datasets.readers import read_scan
 from fidpipe.pipeline.evaluate import evaluate_pair
 from fidpipe.pipeline.jobs import graph_job
-from fidpipe.pipeline.paper.ablate import ParameterSet, ablate_dataset, means_along, parameter_sets
+from fidpipe.pipeline.paper.ablate import (
+    ParameterSet,
+    ablate_dataset,
+    means_along,
+    parameter_sets,
+)
 from fidpipe.schemas.errors import DatasetError, RunError, SettingsError
 from fidpipe.schemas.metric_catalogue import OBJECT_METRICS
 from fidpipe.schemas.settings import load
@@ -59,7 +64,9 @@ def test_one_setting_moves_at_a_time():
     assert len(parameter_sets(base, values)) == 1 + 1 + 1 + 0 + 2
 
 
-def test_a_graph_is_built_once_for_each_pair_side_and_graph_setting(dataset, tmp_path, monkeypatch):
+def test_a_graph_is_built_once_for_each_pair_side_and_graph_setting(
+    dataset, tmp_path, monkeypatch
+):
     built = []
 
     def counted(points, settings):
@@ -85,7 +92,9 @@ def test_a_row_has_the_numbers_of_an_evaluation_under_its_settings(done, dataset
         assert row.match_rate == summary["match_rate"]
         assert row.n_communities_sim == summary["n_communities_sim"]
         for metric in OBJECT_METRICS:
-            assert row[f"{metric}_mean"] == pytest.approx(summary[f"{metric}_mean"], rel=1e-12), (
+            assert row[f"{metric}_mean"] == pytest.approx(
+                summary[f"{metric}_mean"], rel=1e-12
+            ), (
                 metric,
                 words,
             )
@@ -116,7 +125,9 @@ def test_a_broken_pair_is_listed_and_the_others_are_there(data, tmp_path):
     (data / "sim" / "001.bin").write_bytes(b"")
     outcome = ablated(data, tmp_path / "run")
     assert list(outcome.failures) == ["001"]
-    assert json.loads((tmp_path / "run" / "run.json").read_text())["failures"] == outcome.failures
+    assert (
+        json.loads((tmp_path / "run" / "run.json").read_text())["failures"] == outcome.failures
+    )
     assert set(outcome.tables["ablate"].column("pair_id").to_pylist()) == {"000"}
 
 
@@ -155,7 +166,9 @@ def test_the_command_prints_a_table_and_draws_its_figure(dataset, tmp_path):
     )
     result = command("ablate", dataset, *words, cwd=tmp_path, code=0)
     assert "graph.k: " in result.stdout
-    assert len(pd.read_parquet(tmp_path / "runs" / "streets-ablate" / "ablate.parquet")) == 2 * 2
+    assert (
+        len(pd.read_parquet(tmp_path / "runs" / "streets-ablate" / "ablate.parquet")) == 2 * 2
+    )
     picture = imread(tmp_path / "runs" / "streets-ablate" / "ablate.png")
     assert len(np.unique(picture.reshape(-1, picture.shape[-1]), axis=0)) > 50
 

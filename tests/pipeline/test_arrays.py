@@ -81,7 +81,9 @@ def test_projected_coordinates_have_the_scores_of_the_origin(away_m):
     real = street()
     sim = drifted(real)
     expected = evaluated(real, sim, KEEP_ALL).summary
-    with pytest.warns(UserWarning, match=r"not in the sensor's frame: .*set input.sensor_position"):
+    with pytest.warns(
+        UserWarning, match=r"not in the sensor's frame: .*set input.sensor_position"
+    ):
         summary = evaluated(real + away_m, sim + away_m, KEEP_ALL).summary
     for name in UNCHANGED_BY_MOTION:
         assert summary[name] == pytest.approx(expected[name], rel=1e-6), name
@@ -100,7 +102,9 @@ def test_columns_without_real_numbers_are_rejected_by_name(tmp_path, name, kind,
     kinds = {"x": "f8", "y": "f8", "z": "f8", "intensity": "f4"} | {name: kind}
     fields = []
     for column, of_column in kinds.items():
-        fields.append((column, *of_column) if isinstance(of_column, tuple) else (column, of_column))
+        fields.append(
+            (column, *of_column) if isinstance(of_column, tuple) else (column, of_column)
+        )
     np.save(tmp_path / "a.npy", np.ones(20, dtype=fields))
     with pytest.raises(ScanError, match=words):
         read_scan(tmp_path / "a.npy")

@@ -93,7 +93,9 @@ def test_it_is_resumed_and_made_again_only_where_the_real_scan_changed(folder, t
     assert_same_tables(out, folder / "best_case")
     made = {path.name: path.read_bytes() for path in (out / "dataset" / "sim").iterdir()}
     assert best_case(data, out).n_made == 0
-    assert {path.name: path.read_bytes() for path in (out / "dataset" / "sim").iterdir()} == made
+    assert {
+        path.name: path.read_bytes() for path in (out / "dataset" / "sim").iterdir()
+    } == made
     write_bin(data / "real" / "001.bin", street(seed=77))
     assert best_case(data, out).n_made == first.n_made
     now = {path.name: path.read_bytes() for path in (out / "dataset" / "sim").iterdir()}
@@ -191,7 +193,9 @@ def test_a_wrong_best_case_is_refused_and_both_are_named(folder, tmp_path):
     finished = FinishedRun(folder / "run")
     with pytest.raises(RunError, match=r"run: is not a run of fidpipe best-case"):
         excess_over(finished, folder / "run")
-    best_case(folder / "streets", tmp_path / "settings", settings=load(assignments=["graph.k=20"]))
+    best_case(
+        folder / "streets", tmp_path / "settings", settings=load(assignments=["graph.k=20"])
+    )
     with pytest.raises(RunError, match="graph.k is 90 and 20"):
         excess_over(finished, tmp_path / "settings")
     best_case(write_dataset(tmp_path / "streets", 3, n=160), tmp_path / "scans")
@@ -222,7 +226,9 @@ def test_people_and_programs_see_the_same_excess(folder, tmp_path):
     ).page.read_text()
     assert "Over the best case" in page
     assert f"<td>{own['excess']:+.3f}</td>" in page
-    assert "Over the best case" not in write_report(folder / "run", out=tmp_path).page.read_text()
+    assert (
+        "Over the best case" not in write_report(folder / "run", out=tmp_path).page.read_text()
+    )
     shown("show", folder / "run", "001", "--best-case", folder / "best_case", code=2)
 
 
@@ -291,12 +297,22 @@ def test_the_best_case_of_a_run_has_its_settings_and_lies_next_to_it(tmp_path):
     data = write_dataset(tmp_path / "streets", 1)
     settings = ("--set", "graph.k=20")
     shown(
-        "run", data, "--preset", "reference", *settings, "--workers", 1, "--out", tmp_path / "run"
+        "run",
+        data,
+        "--preset",
+        "reference",
+        *settings,
+        "--workers",
+        1,
+        "--out",
+        tmp_path / "run",
     )
     shown("best-case", tmp_path / "run", *settings, code=2)
     shown("best-case", tmp_path / "run", "--workers", 1)
     assert "Over the best case" not in shown("show", tmp_path / "run")
-    assert "best case" in shown("show", tmp_path / "run", "--best-case", tmp_path / "run-best-case")
+    assert "best case" in shown(
+        "show", tmp_path / "run", "--best-case", tmp_path / "run-best-case"
+    )
     found = FinishedRun(tmp_path / "run-best-case").record
     assert (found.preset, found.departures) == ("reference", ("graph.k=20",))
 

@@ -28,9 +28,9 @@ def builds(real_data, tmp_path_factory):
         real = np.fromfile(real_data / "kitti_twin" / "real" / path.name, np.float32).reshape(
             -1, 4
         )[::3]
-        sim = np.fromfile(real_data / "kitti_twin" / "sim" / path.name, np.float32).reshape(-1, 4)[
-            ::3
-        ]
+        sim = np.fromfile(real_data / "kitti_twin" / "sim" / path.name, np.float32).reshape(
+            -1, 4
+        )[::3]
         write_bin(folder / "drive" / "velodyne" / f"{i:04}.bin", real[:, :3])
         first = folder / "build41" / "lidar_out"
         second = folder / "build42" / "lidar_out"
@@ -39,14 +39,18 @@ def builds(real_data, tmp_path_factory):
         write_pcd(first / f"frame_{i:04}.pcd", sim, "binary")
         higher = sim + np.float32([0, 0, HIGHER_M, 0])
         write_ply(
-            second / f"frame_{i:04}.ply", higher * np.float32([1, -1, 1, 1]), "binary_little_endian"
+            second / f"frame_{i:04}.ply",
+            higher * np.float32([1, -1, 1, 1]),
+            "binary_little_endian",
         )
     return folder
 
 
 def test_three_commands_lead_from_two_builds_to_a_decision_and_its_first_cause(builds):
     section = DECISION.read_text("utf-8").partition("## Builds in different frames")[2]
-    first, second, third = re.findall(r"^fidpipe (.*)", section.partition("\n## ")[0], re.MULTILINE)
+    first, second, third = re.findall(
+        r"^fidpipe (.*)", section.partition("\n## ")[0], re.MULTILINE
+    )
     for words in (first, second):
         command(*words.split(), "--workers", 1, cwd=builds, code=0)
     text = command(*third.split(), cwd=builds, code=0).stdout
@@ -58,8 +62,12 @@ def test_compare_evaluates_with_the_settings_given_and_names_runs_after_the_buil
     builds, tmp_path
 ):
     words = ("compare", builds / "drive", builds / "build41", builds / "build41")
-    found = command(*words, "--set", "graph.k=20", "--workers", 1, "--json", cwd=tmp_path, code=0)
-    assert [json.loads(found.stdout)[0][name] for name in ("base", "other")] == ["runs/build41"] * 2
+    found = command(
+        *words, "--set", "graph.k=20", "--workers", 1, "--json", cwd=tmp_path, code=0
+    )
+    assert [json.loads(found.stdout)[0][name] for name in ("base", "other")] == [
+        "runs/build41"
+    ] * 2
     record = record_of_run(tmp_path / "runs" / "build41")
     assert (record["preset"], record["settings"]["graph"]["k"]) == ("reference", 20)
 
@@ -80,7 +88,9 @@ def test_several_folders_with_scans_are_named_and_one_is_used(tmp_path):
 
 def test_a_folder_of_scans_is_no_run_and_the_advice_does_not_write_into_it(tmp_path):
     write_bin(tmp_path / "drive" / "velodyne" / "0.bin", street(n=80))
-    with pytest.raises(RunError, match="if it holds scans, evaluate them: fidpipe run .*drive SIM"):
+    with pytest.raises(
+        RunError, match="if it holds scans, evaluate them: fidpipe run .*drive SIM"
+    ):
         record_of_run(tmp_path / "drive")
     for name in ("run", "check"):
         words = ("--workers", 1) if name == "run" else ()
@@ -92,7 +102,8 @@ def test_a_folder_of_scans_is_no_run_and_the_advice_does_not_write_into_it(tmp_p
 def test_runs_of_builds_have_the_names_that_tell_them_apart(tmp_path):
     assert side_run_folder(tmp_path / "build41" / "lidar_out").name == "build41"
     assert [
-        run.name for run in side_run_folders([tmp_path / "a" / "scans", tmp_path / "b" / "scans"])
+        run.name
+        for run in side_run_folders([tmp_path / "a" / "scans", tmp_path / "b" / "scans"])
     ] == ["a", "b"]
     same = [tmp_path / "v1" / "town" / "out", tmp_path / "v2" / "town" / "out"]
     assert [run.name for run in side_run_folders(same)] == ["v1-town-out", "v2-town-out"]

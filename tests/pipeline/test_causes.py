@@ -118,7 +118,9 @@ def test_every_command_shows_the_same_causes(streets, folder, named, tmp_path):
     ]
     assert (
         sorted(
-            run_.causes[["name", "words", "estimate", "low", "high", "setting"]].to_numpy().tolist()
+            run_.causes[["name", "words", "estimate", "low", "high", "setting"]]
+            .to_numpy()
+            .tolist()
         )
         == expected
     )
@@ -220,18 +222,22 @@ def test_a_blind_sector_is_worse_and_explains_its_missing_parts(base, tmp_path):
     assert [cause.name for cause in open_run(tmp_path / "run").record.overview.causes] == [
         "blind sector"
     ]
-    (comparison,) = json.loads(command("compare", base, tmp_path / "run", "--json", code=0).stdout)
+    (comparison,) = json.loads(
+        command("compare", base, tmp_path / "run", "--json", code=0).stdout
+    )
     assert comparison["decision"] == "worse"
     assert [cause["name"] for cause in comparison["causes"]] == ["blind sector"]
 
 
 def test_a_gate_tests_the_size_of_a_cause(folder, named, tmp_path):
     limits = [
-        f"--max=causes.{name}=0.03" for name in ("height", "roll", "intensity_scale", "height.high")
+        f"--max=causes.{name}=0.03"
+        for name in ("height", "roll", "intensity_scale", "height.high")
     ]
     done = command("gate", folder, *limits, "--out", tmp_path, code=4)
     judged = {
-        row["measure"]: row for row in json.loads((tmp_path / "gate.json").read_text())["criteria"]
+        row["measure"]: row
+        for row in json.loads((tmp_path / "gate.json").read_text())["criteria"]
     }
     assert judged["causes.height"]["value"] == abs(named["height"].estimate)
     assert judged["causes.height.high"]["value"] == -named["height"].low
@@ -302,7 +308,10 @@ def test_nothing_is_said_to_be_without_a_cause_where_many_are_unknown():
     few = Unknown(causes=("beams",), reason="why")
     many = Unknown(causes=tuple(CAUSES)[:20], reason="two sweeps")
     assert no_cause_words([few]).endswith("two measurements of one scene; 1 of 38 are unknown")
-    assert no_cause_words([few, many]) == "no cause can be named: 21 of 38 are unknown (two sweeps)"
+    assert (
+        no_cause_words([few, many])
+        == "no cause can be named: 21 of 38 are unknown (two sweeps)"
+    )
 
 
 def test_no_more_causes_are_unknown_than_there_are():
@@ -342,14 +351,18 @@ def test_causes_that_feign_each_other_are_named_once():
 
 
 def test_changes_are_named_beyond_the_resolution_and_losses_are_relative():
-    before, blocks = values_of(lost_returns=[0.4] * 4, intensity_scale=[0.5] * 4, roll=[0.0] * 4)
+    before, blocks = values_of(
+        lost_returns=[0.4] * 4, intensity_scale=[0.5] * 4, roll=[0.0] * 4
+    )
     after, _ = values_of(lost_returns=[0.55] * 4, intensity_scale=[0.25] * 4, roll=[0.15] * 4)
     changes = {cause.name: cause for cause in changed_causes(before, after, {}, blocks)}
     assert sorted(changes) == ["intensity scale", "lost returns", "roll"]
     assert changes["lost returns"].estimate == pytest.approx(0.25)
     assert changes["intensity scale"].words == "intensities 50 % too high"
     between = {"roll": np.zeros(4)}
-    assert "roll" not in {cause.name for cause in changed_causes(before, after, between, blocks)}
+    assert "roll" not in {
+        cause.name for cause in changed_causes(before, after, between, blocks)
+    }
 
 
 @pytest.mark.parametrize("n_pairs", [80, 100, 400])

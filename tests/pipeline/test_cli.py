@@ -73,7 +73,12 @@ def test_a_failure_from_before_is_listed_beside_the_number_of_those_told_now(dat
 def test_a_wrong_input_ends_with_one_and_one_line(dataset, tmp_path, words, fault):
     (tmp_path / "loop").symlink_to("loop")
     result = command(
-        "run", *[word.format(data=dataset) for word in words], "--workers", 1, cwd=tmp_path, code=1
+        "run",
+        *[word.format(data=dataset) for word in words],
+        "--workers",
+        1,
+        cwd=tmp_path,
+        code=1,
     )
     assert one_line(result.stderr).startswith(fault)
     assert result.stdout == ""
@@ -102,7 +107,9 @@ def test_a_wrong_input_ends_with_one_and_one_line(dataset, tmp_path, words, faul
 )
 def test_wrong_usage_ends_with_two(dataset, finished, tmp_path, words, fault):
     result = command(
-        *(word.format(data=dataset, run=finished) for word in words.split()), cwd=tmp_path, code=2
+        *(word.format(data=dataset, run=finished) for word in words.split()),
+        cwd=tmp_path,
+        code=2,
     )
     (line,) = result.stderr.splitlines()
     assert line.startswith("error: ") and fault in line and line.endswith(" --help")
@@ -134,7 +141,9 @@ def test_every_command_has_an_example_in_its_help(name):
 def test_help_imports_nothing_heavy():
     heavy = ("numpy", "pandas", "dask", "pyarrow", "pydantic")
     code = f"import sys, fidpipe.pipeline.cli.main; print([name for name in {heavy} if name in sys.modules])"
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    found = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     assert found.stdout.strip() == "[]"
 
 

@@ -85,7 +85,9 @@ def test_three_workers_over_tcp_one_of_them_killed_give_the_tables_of_a_local_ru
     killed = tmp_path / "killed"
     cluster.add_workers(3, "--no-nanny", KILLED=str(killed))
     stages = broken_jobs.with_job("metrics", partial(kill_own_worker_once, at_work=at_work))
-    outcome = run(dataset, tmp_path / "run", workers=None, scheduler=cluster.address, stages=stages)
+    outcome = run(
+        dataset, tmp_path / "run", workers=None, scheduler=cluster.address, stages=stages
+    )
     dead = [process for process in cluster.workers if process.poll() is not None]
     assert [process.pid for process in dead] == [int(killed.read_text())]
     assert outcome.failures == {}
@@ -98,7 +100,9 @@ def test_three_workers_over_tcp_one_of_them_killed_give_the_tables_of_a_local_ru
 def test_a_pair_whose_worker_dies_each_time_fails_and_says_so(dataset, tmp_path, cluster):
     cluster.add_workers(3, "--nanny")
     stages = broken_jobs.with_job("graph", broken_jobs.poisoned_graph)
-    outcome = run(dataset, tmp_path / "run", workers=None, scheduler=cluster.address, stages=stages)
+    outcome = run(
+        dataset, tmp_path / "run", workers=None, scheduler=cluster.address, stages=stages
+    )
     assert list(outcome.failures) == [broken_jobs.POISON]
     reason = outcome.failures[broken_jobs.POISON]
     assert reason.startswith(
@@ -171,8 +175,12 @@ def test_a_worker_of_another_version_is_refused_before_anything_runs(
     there = tmp_path / f"{library}-0.0.9.dist-info"
     there.mkdir()
     (there / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {library}\nVersion: 0.0.9\n")
-    cluster.add_workers(2).add_workers(1, PYTHONPATH=os.pathsep.join([str(tmp_path), TEST_MODULES]))
-    refused = own_process("run", dataset, "--out", tmp_path / "run", "--scheduler", cluster.address)
+    cluster.add_workers(2).add_workers(
+        1, PYTHONPATH=os.pathsep.join([str(tmp_path), TEST_MODULES])
+    )
+    refused = own_process(
+        "run", dataset, "--out", tmp_path / "run", "--scheduler", cluster.address
+    )
     here = library_versions([library])[library]
     assert refused.returncode == 1
     assert f"{library} 0.0.9 (here {here})" in refused.stderr
@@ -183,12 +191,17 @@ def test_a_worker_of_another_version_is_refused_before_anything_runs(
 def test_a_cluster_that_starts_workers_for_tasks_is_asked_for_one(tmp_path):
     (tmp_path / TOKEN).write_text("shared")
     with LocalCluster(
-        n_workers=0, threads_per_worker=1, host="127.0.0.1", scheduler_kwargs={"dashboard": False}
+        n_workers=0,
+        threads_per_worker=1,
+        host="127.0.0.1",
+        scheduler_kwargs={"dashboard": False},
     ) as adaptive:
         adaptive.adapt(minimum=0, maximum=1, interval="100ms")
         required = Requirements(code_versions([]), TableFolder(tmp_path, "shared"))
         pool = DaskPool(1, address=adaptive.scheduler_address, required=required)
-        (tmp_path / TOKEN).write_text("moved")  # a worker that joins from now on sees other files
+        (tmp_path / TOKEN).write_text(
+            "moved"
+        )  # a worker that joins from now on sees other files
         try:
             pool.submit(pow, 2, 5)
             with pytest.raises(RunError, match=str(tmp_path)):
@@ -256,7 +269,9 @@ def test_a_pair_that_never_ends_fails_alone_and_leaves_no_process(
     assert not any(psutil.pid_exists(int(path.name)) for path in pids.iterdir())
     if on != "a cluster":
         own = psutil.Process()
-        assert [child for child in own.children(recursive=True) if child.ppid() != own.pid] == []
+        assert [
+            child for child in own.children(recursive=True) if child.ppid() != own.pid
+        ] == []
     assert run(dataset, tmp_path / "run").n_made == JOBS_PER_PAIR
     assert_same_tables(tmp_path / "run", finished)
 
@@ -283,7 +298,12 @@ def test_a_pair_in_many_batches_of_which_none_ends_fails_alone(dataset, tmp_path
     stages = broken_jobs.with_job("selection", never_ending_selection)
     small = {"WORTH_SPLITTING_S": 0.0, "BATCH_S": 0.0}
     outcome = run(
-        dataset, tmp_path / "run", workers=2, stages=stages, policy=small, pair_timeout_s=LIMIT_S
+        dataset,
+        tmp_path / "run",
+        workers=2,
+        stages=stages,
+        policy=small,
+        pair_timeout_s=LIMIT_S,
     )
     assert list(outcome.failures) == [broken_jobs.POISON]
     assert (

@@ -185,7 +185,9 @@ def test_the_kind_of_change_of_an_object_by_hand():
         (0, 0, 0.5, 0.4, nan, 0.9, "better"),
     ]
     columns = [
-        f"{name}_{when}" for name in ("partner", "cdc", "r_lambda") for when in ("before", "after")
+        f"{name}_{when}"
+        for name in ("partner", "cdc", "r_lambda")
+        for when in ("before", "after")
     ]
     objects = pd.DataFrame(rows, columns=[*columns, "kind"])
     assert kinds_of_change(objects).tolist() == objects.kind.tolist()
@@ -264,7 +266,9 @@ def test_no_name_reaches_the_page_as_markup_and_nothing_is_fetched(versions):
     assert [link for link in page.links if not link.startswith("#")] == ["data:,"]
     assert "default-src 'none'" in text
     worst = worst_changes(comparison.objects)
-    in_3d = {f"{place_words(row)}, pair {row['pair_id']}, object {row['real_id']}" for row in worst}
+    in_3d = {
+        f"{place_words(row)}, pair {row['pair_id']}, object {row['real_id']}" for row in worst
+    }
     assert in_3d == {words for words in page.text if re.search(r", object \d+$", words)}
     assert {HOSTILE[0], HOSTILE[2], HOSTILE[4], HOSTILE[5]} <= {row["pair_id"] for row in worst}
     first = worst[:3]
@@ -356,14 +360,18 @@ def test_a_changed_object_has_its_points_before_and_after(found, versions):
 
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
-def test_the_first_place_is_around_the_sensor_if_the_first_cause_is_of_the_sensor(versions, order):
+def test_the_first_place_is_around_the_sensor_if_the_first_cause_is_of_the_sensor(
+    versions, order
+):
     found = compare_runs([versions[i] for i in order])
     causes = [change for change in found[0].changes.causes if change.kind == "sensor"]
     first = compare_page(found).partition('<option value="0">')[2].partition("<")[0]
     assert ("around the sensor" in first) == bool(causes)
 
 
-def test_a_gate_against_a_base_fails_on_a_worse_score_and_writes_what_ci_reads(versions, tmp_path):
+def test_a_gate_against_a_base_fails_on_a_worse_score_and_writes_what_ci_reads(
+    versions, tmp_path
+):
     good, bad = versions
     passed = command(
         "compare", good, good, "--fail-on", "worse", "--out", tmp_path / "same", code=0
@@ -371,7 +379,9 @@ def test_a_gate_against_a_base_fails_on_a_worse_score_and_writes_what_ci_reads(v
     assert "gate on worse: passed" in passed.stdout
     command("compare", good, bad, "--fail-on", "worse", "--out", tmp_path, code=4)
     assert (
-        command("compare", bad, good, "--fail-on", "worse", "--out", tmp_path / "better").returncode
+        command(
+            "compare", bad, good, "--fail-on", "worse", "--out", tmp_path / "better"
+        ).returncode
         == 0
     )
     (judged,) = json.loads((tmp_path / "compare.json").read_text())["comparisons"]
@@ -382,7 +392,9 @@ def test_a_gate_against_a_base_fails_on_a_worse_score_and_writes_what_ci_reads(v
         for family in judged["families"]
         if family["verdict"] == "worse" and not family["why"]
     } | {
-        f"{cause['name']} is not worse" for cause in judged["causes"] if cause["verdict"] == "worse"
+        f"{cause['name']} is not worse"
+        for cause in judged["causes"]
+        if cause["verdict"] == "worse"
     }
     assert {name for name, fault in faults.items() if fault} == worse > set()
     suite = ElementTree.parse(tmp_path / "compare.xml").getroot().find("testsuite")
@@ -411,7 +423,9 @@ def test_a_pair_that_is_no_longer_scored_fails_a_gate_though_all_others_are_the_
     result = judge_comparison(found, "worse")
     (failed,) = result.failed
     assert HOSTILE[1] in failed.found
-    assert judge_comparison(compare_runs([tmp_path / "run", versions[0]])[0], "worse").failed == ()
+    assert (
+        judge_comparison(compare_runs([tmp_path / "run", versions[0]])[0], "worse").failed == ()
+    )
 
 
 def test_a_run_in_which_every_pair_fails_is_worse_and_leaves_files_for_ci(versions, tmp_path):
@@ -423,7 +437,9 @@ def test_a_run_in_which_every_pair_fails_is_worse_and_leaves_files_for_ci(versio
     assert result.stdout.startswith("worse: all 6 pairs")
     assert (tmp_path / "run" / "compare.xml").exists()
     assert (
-        json.loads((tmp_path / "run" / "compare.json").read_text())["comparisons"][0]["decision"]
+        json.loads((tmp_path / "run" / "compare.json").read_text())["comparisons"][0][
+            "decision"
+        ]
         == "worse"
     )
     page = compare_page(compare_runs([versions[0], tmp_path / "run"]))

@@ -208,7 +208,9 @@ def test_the_scale_of_the_intensity_is_a_cause_if_both_sides_have_one_scale(tmp_
         for side, scale in (("real", 1.0), ("sim", 1.3)):
             points = room(rng)
             intensity = (20 + 10 * (points[:, 1] > 0)) * scale
-            write_bin(tmp_path / "bright" / side / f"{i}.bin", np.column_stack([points, intensity]))
+            write_bin(
+                tmp_path / "bright" / side / f"{i}.bin", np.column_stack([points, intensity])
+            )
     one_scale = load(None, ["graph.k=10", "input.intensity_scale=same"], preset="reference")
     run(tmp_path / "bright", tmp_path / "same", one_scale)
     run(tmp_path / "bright", tmp_path / "other", SETTINGS)
@@ -245,7 +247,9 @@ def test_a_run_is_easier_to_tell_apart_than_its_best_case(folder):
     assert found["low"] <= found["auc"] <= found["high"]
     assert found["real_against_real"]["of"] == "even and odd frames"
     assert found["auc"] > second["auc"]  # the simulated side is drifted and thinned
-    assert {one["name"] for one in found["families"]} == {"surface"}  # random points have no beams
+    assert {one["name"] for one in found["families"]} == {
+        "surface"
+    }  # random points have no beams
 
 
 def test_features_that_one_sample_lacks_do_not_tell_it_apart():
@@ -269,7 +273,9 @@ def test_tell_apart_needs_no_pairs(folder):
 
 def test_two_sweeps_of_a_parked_sensor_are_indistinguishable(real_data):
     bag = real_data / "velodyne_vlp32c" / "rosbag1.bag"
-    found = json.loads(command("diagnose", bag, bag, "--tell-apart", "--json").stdout)["tell_apart"]
+    found = json.loads(command("diagnose", bag, bag, "--tell-apart", "--json").stdout)[
+        "tell_apart"
+    ]
     assert {one["name"] for one in found["families"]} == {"surface", "rays", "intensity"}
     base = found["real_against_real"]
     assert base["low"] <= 0.5 <= base["high"]

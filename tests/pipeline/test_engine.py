@@ -15,7 +15,8 @@ def test_a_pair_of_many_points_is_announced_with_its_memory_and_minutes():
         in text
     )
     assert (
-        "some 7 GiB of memory and 17 minutes, more where points are dense; thin both sides" in text
+        "some 7 GiB of memory and 17 minutes, more where points are dense; thin both sides"
+        in text
     )
     assert "input.voxel_m=0.1, lower" in text
 

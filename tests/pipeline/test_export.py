@@ -30,7 +30,9 @@ def dataset(tmp_path_factory):
     """Three streets: one drifted with a house invented and the bus gone, one drifted, one the same on both sides."""
     folder = write_dataset(tmp_path_factory.mktemp("data") / "streets", 3)
     real = read_scan(folder / "real" / "000.bin").points
-    real = np.vstack([real, box([20, -20, 0.5], [6, 2, 2], 120), box([25, 25, 0.5], [2, 2, 2], 90)])
+    real = np.vstack(
+        [real, box([20, -20, 0.5], [6, 2, 2], 120), box([25, 25, 0.5], [2, 2, 2], 90)]
+    )
     invented, few = box([-30, -30, 2], [2, 2, 2], 60), box([25, 25, 0.5], [2, 2, 2], 5)
     write_pair(folder, real, np.vstack([drifted(real[real[:, 0] <= 15]), invented, few]), "000")
     shutil.copy(folder / "real" / "002.bin", folder / "sim" / "002.bin")
@@ -67,7 +69,9 @@ def timed(dataset, tmp_path_factory):
             f"{'ab'[i]},{dataset}/real/00{i}.bin,{dataset}/sim/00{i}.bin,{stamp}"
             for i, stamp in enumerate(stamps)
         ]
-        (base / "pairs.csv").write_text("\n".join(["pair_id,real,sim,timestamp_s", *rows]) + "\n")
+        (base / "pairs.csv").write_text(
+            "\n".join(["pair_id,real,sim,timestamp_s", *rows]) + "\n"
+        )
         run_dataset(base, base / "run")
         return fidpipe.open_run(base / "run")
 
@@ -85,7 +89,9 @@ def read_mcap(path):
             message = store.deserialize_cdr(content, connection.msgtype)
             value = message.data if connection.topic == "/fidpipe/scores" else cloud(message)
             if connection.topic != "/fidpipe/scores":
-                assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == time_ns
+                assert (
+                    message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == time_ns
+                )
             topics.setdefault(connection.topic, []).append((time_ns, value))
     return topics
 
@@ -108,7 +114,9 @@ def wanted_points(run, pair_id, side):
     read = lambda table, part: pd.read_parquet(run.folder / table / f"{pair_id}{part}.parquet")  # noqa: E731
     ground = read("ground", f".{side}")
     communities = read("communities", f".{side}")
-    fates = read("matching", "").rename(columns={"status": "fate"})[["real_id", "sim_id", "fate"]]
+    fates = read("matching", "").rename(columns={"status": "fate"})[
+        ["real_id", "sim_id", "fate"]
+    ]
     fates = fates.merge(read("metrics", ""), on=["real_id", "sim_id"], how="left")
     fates = fates[fates[f"{side}_id"].notna()]
     points = ground.merge(communities[["point_id", "community_id"]], on="point_id", how="left")
@@ -159,7 +167,9 @@ def test_distances_are_to_the_other_side_and_have_the_median_of_the_table(run, f
             np.testing.assert_allclose(own["distance_m"], nearest, atol=1e-12)
             for row in coverage[coverage.side == side].itertuples():
                 of_object = (
-                    own if pd.isna(row.community_id) else own[own["community"] == row.community_id]
+                    own
+                    if pd.isna(row.community_id)
+                    else own[own["community"] == row.community_id]
                 )
                 if len(of_object):
                     assert np.median(of_object["distance_m"]) == row.median_distance_m
@@ -231,7 +241,9 @@ def test_ply_read_by_trimesh_holds_the_same_points_as_scalar_fields(folder):
         (["1", "3e9"], None),
     ],
 )
-def test_stamps_are_those_of_the_dataset_if_every_pair_has_its_own(timed, tmp_path, stamps, wanted):
+def test_stamps_are_those_of_the_dataset_if_every_pair_has_its_own(
+    timed, tmp_path, stamps, wanted
+):
     run = timed(*stamps)
     times_ns, stamps_of = message_times(run, ["a", "b"])
     assert stamps_of == ("of the dataset" if wanted else "one second apart")
@@ -254,7 +266,9 @@ def test_only_pairs_that_match_are_exported(run, tmp_path):
 @pytest.mark.parametrize(
     ("name", "options"), [("streets.mcap", {"mcap": True}), ("001.sim.ply", {"ply": True})]
 )
-def test_an_existing_file_stays_unless_it_is_to_be_replaced(run, folder, tmp_path, name, options):
+def test_an_existing_file_stays_unless_it_is_to_be_replaced(
+    run, folder, tmp_path, name, options
+):
     other = b"ply\nformat ascii 1.0\nend_header\n"
     (tmp_path / name).write_bytes(other)
     with pytest.raises(RunError, match=f"{name}: .*--replace"):
@@ -275,7 +289,9 @@ def test_an_export_that_stops_midway_leaves_the_file_of_before(run, tmp_path):
     assert (tmp_path / "out" / "streets.mcap").read_bytes() == before
 
 
-def test_without_rosbags_the_install_command_is_said_and_ply_is_written(run, tmp_path, monkeypatch):
+def test_without_rosbags_the_install_command_is_said_and_ply_is_written(
+    run, tmp_path, monkeypatch
+):
     monkeypatch.setitem(sys.modules, "rosbags", None)
     with pytest.raises(FidpipeError, match=r'pip install "fidpipe\[ros\]"'):
         export_run(run, tmp_path, mcap=True)

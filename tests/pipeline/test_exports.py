@@ -21,7 +21,11 @@ def write_pcd(path, columns, counts, fmt="binary"):
     names = [name.rstrip("0123456789") if name.startswith("_") else name for name in columns]
     fields = zip(columns.items(), counts, strict=True)
     dtype = np.dtype(
-        [(name, own.dtype, (n,)) if n > 1 else (name, own.dtype) for (name, own), n in fields if n]
+        [
+            (name, own.dtype, (n,)) if n > 1 else (name, own.dtype)
+            for (name, own), n in fields
+            if n
+        ]
     )
     records = np.zeros(len(POINTS), dtype)
     for name in dtype.names:
@@ -149,7 +153,11 @@ def test_a_line_of_livox_is_a_ring_if_it_has_one_elevation(tmp_path, repeats):
     azimuth, range_m = rng.uniform(-np.pi, np.pi, 4000), rng.uniform(5, 50, 4000)
     flat = range_m * np.cos(elevation)
     table = pd.DataFrame(
-        {"x": flat * np.cos(azimuth), "y": flat * np.sin(azimuth), "z": range_m * np.sin(elevation)}
+        {
+            "x": flat * np.cos(azimuth),
+            "y": flat * np.sin(azimuth),
+            "z": range_m * np.sin(elevation),
+        }
     )
     table.assign(line=line).to_csv(tmp_path / "a.csv", index=False)
     scan = read_scan(tmp_path / "a.csv")
@@ -174,7 +182,10 @@ def test_a_bin_of_another_width_is_rejected_until_its_columns_are_named(tmp_path
         read_scan(tmp_path / "a.bin")
     names = ("x", "y", "z", "intensity", "a", "b", "c", "d")[:width]
     assert len(read_scan(tmp_path / "a.bin", names).points) == len(points)
-    assert len(read_scan(tmp_path / "a.bin", names[:3] + ("i",)).points) == len(points) * width // 4
+    assert (
+        len(read_scan(tmp_path / "a.bin", names[:3] + ("i",)).points)
+        == len(points) * width // 4
+    )
 
 
 def test_projected_coordinates_are_named_without_a_larger_range(tmp_path):
@@ -217,7 +228,9 @@ def test_other_mcap_files_are_named_with_their_topics(tmp_path):
 # The files of bug reports.
 
 
-def test_a_file_of_six_columns_fails_check_and_run_until_its_columns_are_named(real_data, tmp_path):
+def test_a_file_of_six_columns_fails_check_and_run_until_its_columns_are_named(
+    real_data, tmp_path
+):
     case = real_data / "reports" / "05_six_columns"
     assert (
         "do not fit 4 float32 columns (x y z intensity), but 6"

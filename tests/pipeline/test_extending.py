@@ -41,7 +41,9 @@ def blocks_of(title):
 
 def files_of(title):
     """The files that the numbered list of a section names, one for each line of it."""
-    items = re.findall(r"^\d+\. (.*?)(?=^\d+\. |^$)", section_of(title), re.DOTALL | re.MULTILINE)
+    items = re.findall(
+        r"^\d+\. (.*?)(?=^\d+\. |^$)", section_of(title), re.DOTALL | re.MULTILINE
+    )
     return [named[0] for item in items if (named := FILE.findall(item))]
 
 
@@ -82,7 +84,9 @@ def extended(title, folder):
     """A copy of the package with the blocks of a section in their places; gives it with the files that were touched."""
     package = folder / "fidpipe"
     for part in ("pipeline", "schemas", "stages"):
-        shutil.copytree(ROOT / part, package / part, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(
+            ROOT / part, package / part, ignore=shutil.ignore_patterns("__pycache__")
+        )
     shutil.copy(ROOT / "__init__.py", package)
     touched = []
     for name, code in blocks_of(title):
@@ -108,7 +112,9 @@ def test_an_example_touches_the_files_that_its_section_names_and_they_are_few(ti
     assert sorted(set(touched)) == sorted(files)
     assert len(files) <= MOST_FILES[title]
     anchor = title.lower().replace(" ", "-")
-    (row,) = [line for line in PAGE.splitlines() if line.startswith("|") and f"(#{anchor})" in line]
+    (row,) = [
+        line for line in PAGE.splitlines() if line.startswith("|") and f"(#{anchor})" in line
+    ]
     assert int(re.search(r"\| (\d)", row)[1]) == len(files)
 
 
@@ -116,14 +122,24 @@ def made_again(result):
     """The stages that the command says it replaces."""
     lines = [line for line in result.stderr.splitlines() if line.startswith("replacing ")]
     return {
-        name for line in lines for name in re.search(r"replacing (.*?) of ", line)[1].split(", ")
+        name
+        for line in lines
+        for name in re.search(r"replacing (.*?) of ", line)[1].split(", ")
     }
 
 
 def test_the_setting_is_obeyed_checked_recorded_and_part_of_the_key(again, dataset, tmp_path):
     package, _ = extended("A setting", tmp_path)
     run = ("run", dataset, "--out", again, "--workers", 1)
-    following = {"graph", "communities", "matching", "coverage", "surface", "selection", "metrics"}
+    following = {
+        "graph",
+        "communities",
+        "matching",
+        "coverage",
+        "surface",
+        "selection",
+        "metrics",
+    }
     assert made_again(package.fidpipe(*run)) == following
     assert made_again(package.fidpipe(*run)) == set()
     result = package.fidpipe(*run, "--set", "graph.max_edge_m=0.5", "--replace")
@@ -188,7 +204,11 @@ def test_the_score_is_in_every_table_and_nothing_stale_is_kept(again, dataset, t
     assert pairs.frobenius_change_mean.to_dict() == pytest.approx(means.to_dict())
     shutil.copytree(again, tmp_path / "copy")
     shown = ("show", again, "000", metrics.query("pair_id == '000'").real_id.iloc[0])
-    for words in (("show", again, "--all"), shown, ("compare", tmp_path / "copy", again, "--all")):
+    for words in (
+        ("show", again, "--all"),
+        shown,
+        ("compare", tmp_path / "copy", again, "--all"),
+    ):
         assert "change, Frobenius" in package.fidpipe(*words).stdout, words
     assert '"frobenius_change": ' in package.fidpipe("show", again, "000", "--json").stdout
     package.fidpipe("report", again)
@@ -263,9 +283,13 @@ def write(folder, save):
 
 def test_a_new_format_is_checked_and_gives_the_numbers_of_a_known_one(tmp_path):
     package, _ = extended("A reader", tmp_path)
-    as_text = lambda stem, points: np.savetxt(f"{stem}.xyz", points.astype(np.float64), fmt="%.17g")  # noqa: E731
+
+    def as_text(stem, points):
+        np.savetxt(f"{stem}.xyz", points.astype(np.float64), fmt="%.17g")
+
     streets = {
-        name: write(tmp_path / name, save) for name, save in (("xyz", as_text), ("npy", np.save))
+        name: write(tmp_path / name, save)
+        for name, save in (("xyz", as_text), ("npy", np.save))
     }
     assert "no scan pairs found" in command("check", streets["xyz"]).stderr
     assert "1 of 1 pairs can be evaluated" in package.fidpipe("check", streets["xyz"]).stdout
@@ -291,7 +315,9 @@ def pts_package(tmp_path):
     (module,) = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
     metadata = site / "fidpipe_pts-1.0.dist-info"
     metadata.mkdir(parents=True)
-    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: fidpipe-pts\nVersion: 1.0\n")
+    (metadata / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: fidpipe-pts\nVersion: 1.0\n"
+    )
     ((group, entries),) = tomllib.loads(project)["project"]["entry-points"].items()
     lines = [f"{name} = {value}\n" for name, value in entries.items()]
     (metadata / "entry_points.txt").write_text(f"[{group}]\n{''.join(lines)}")

@@ -55,7 +55,9 @@ def extras(out):
     }
 
 
-def test_a_run_to_which_they_are_added_later_reuses_everything_else(dataset, finished, tmp_path):
+def test_a_run_to_which_they_are_added_later_reuses_everything_else(
+    dataset, finished, tmp_path
+):
     out = tmp_path / "run"
     run(dataset, out)
     assert not set(EXTRAS) & (
@@ -77,14 +79,20 @@ def test_the_seeds_of_a_pair_are_what_runs_under_them_give(dataset, finished, tm
             dataset, tmp_path / str(seed), load(None, [f"communities.seed={seed}"])
         ).rows:
             found = (
-                extras(finished)["seeds", row["pair_id"]].to_pandas().set_index("seed").loc[seed]
+                extras(finished)["seeds", row["pair_id"]]
+                .to_pandas()
+                .set_index("seed")
+                .loc[seed]
             )
             assert {name: found[name] for name in SEEDED_SCORES} == {
                 name: row[name] for name in SEEDED_SCORES
             }
     run(dataset, tmp_path / "run", load(None, [SEED_WORD, "communities.seed=7"]), pattern="000")
     (table,) = extras(tmp_path / "run").values()
-    assert TABLES["seeds"].check(table.cast(TABLES["seeds"].schema))["seed"].to_pylist() == [7, 8]
+    assert TABLES["seeds"].check(table.cast(TABLES["seeds"].schema))["seed"].to_pylist() == [
+        7,
+        8,
+    ]
 
 
 def test_the_record_holds_the_spread_over_seeds_and_pairs(finished, record):
@@ -145,7 +153,9 @@ def test_other_baselines_or_seeds_make_only_their_table_again(again, dataset):
     assert names == chamfer | {"emd_mean_m", "emd_kept_mean_m", "emd_centred_mean_m"}
     assert (
         run(
-            dataset, again, load(None, ["metrics.baselines=emd,chamfer,emd", "stability.seeds=3"])
+            dataset,
+            again,
+            load(None, ["metrics.baselines=emd,chamfer,emd", "stability.seeds=3"]),
         ).n_made
         == 0
     )
@@ -226,7 +236,9 @@ def test_the_obstacles_of_a_pair_are_those_of_its_gaps_and_join_its_objects(fini
     for pair_id, of_pair in obstacles.groupby("pair_id"):
         for measure, side in (("lost", "real"), ("added", "sim")):
             fates = of_pair.loc[of_pair.side == side, "fate"]
-            assert gaps.gap[pair_id, "objects", measure] == pytest.approx((fates == measure).mean())
+            assert gaps.gap[pair_id, "objects", measure] == pytest.approx(
+                (fates == measure).mean()
+            )
     summary = {(row["task"], row["measure"]): row for row in record["tasks"]}
     assert {task for task, _ in summary} == {"objects", "ground", "occupancy", "free_space"}
     lost = summary["objects", "lost"]
@@ -245,7 +257,9 @@ def test_only_the_tasks_that_are_asked_for_are_computed(dataset, finished, tmp_p
     assert set(result.task_objects.fate) == {"found"}
 
 
-def test_the_tasks_are_in_the_answer_in_gates_and_in_python(dataset, finished, record, tmp_path):
+def test_the_tasks_are_in_the_answer_in_gates_and_in_python(
+    dataset, finished, record, tmp_path
+):
     gaps = {f"{row['task']}.{row['measure']}": row["gap"] for row in record["tasks"]}
     assert tuple(gaps) == tuple(TASK_GAPS.values())
     answer = command("show", finished, code=0).stdout
@@ -254,7 +268,9 @@ def test_the_tasks_are_in_the_answer_in_gates_and_in_python(dataset, finished, r
     assert "wrongly_occupied" in command("show", finished, "--all", code=0).stdout
     limit = f"tasks.objects.lost={gaps['objects.lost'] + 1e-6}"
     command("gate", finished, "--max", limit, "--out", tmp_path, code=0)
-    command("gate", finished, "--max", "tasks.ground.height_m.max=-1", "--out", tmp_path, code=4)
+    command(
+        "gate", finished, "--max", "tasks.ground.height_m.max=-1", "--out", tmp_path, code=4
+    )
     run(dataset, tmp_path / "run", pattern="000")
     assert "your obstacles" not in command("show", tmp_path / "run", code=0).stdout
     gate = command("gate", tmp_path / "run", "--max", limit, "--max", "pairs.to_do=1", code=4)
@@ -272,7 +288,9 @@ def test_the_tasks_are_in_the_report(finished, record, tmp_path):
     assert "wrongly_occupied" in page
 
 
-def test_a_comparison_judges_the_tasks_of_runs_with_the_same_settings(dataset, finished, tmp_path):
+def test_a_comparison_judges_the_tasks_of_runs_with_the_same_settings(
+    dataset, finished, tmp_path
+):
     (same,) = compare_runs([finished, finished])
     (tasks,) = [family for family in same.families if family.name == "tasks"]
     assert tasks.verdict == "same"

@@ -8,7 +8,12 @@ from fidpipe.pipeline.results.families import ScoredPairs, judge_families, overa
 SURFACES = [
     f"covered_{side}_{reach}" for side in ("real", "sim") for reach in ("0p1m", "0p3m", "1m")
 ]
-PIECES = ("n_missing_pieces", "n_invented_pieces", "missing_pieces_share", "invented_pieces_share")
+PIECES = (
+    "n_missing_pieces",
+    "n_invented_pieces",
+    "missing_pieces_share",
+    "invented_pieces_share",
+)
 PERFECT = dict.fromkeys(SURFACES, 0.8) | dict.fromkeys(PIECES, 0.0)
 PERFECT |= dict.fromkeys(("cdc_mean", "r_lambda_mean", "r_gap_mean"), 0.3)
 PERFECT |= {"n_sim_points": 10_000, "found": 0.9, "match_rate": 0.6}
@@ -74,7 +79,9 @@ def test_smeared_points_are_not_better_because_they_cover_more():
 
 
 def test_much_right_surface_with_a_little_wrong_one_is_mixed():
-    families, decision = judged(covered_real_0p3m=0.1, covered_sim_0p3m=-0.01, n_sim_points=3000)
+    families, decision = judged(
+        covered_real_0p3m=0.1, covered_sim_0p3m=-0.01, n_sim_points=3000
+    )
     assert [families[f"surface {what}"].verdict for what in ("missing", "invented")] == [
         "better",
         "worse",

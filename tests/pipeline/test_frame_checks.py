@@ -92,7 +92,8 @@ def test_a_pair_of_two_places_is_named_wherever_the_run_is_read(mirrored, tmp_pa
         write_bin(data / "sim" / f"{i}.bin", drifted(scan(10 * i)))
     run(data, tmp_path / "same", load(None, ["graph.k=10"]))
     write_bin(
-        data / "sim" / "1.bin", np.random.default_rng(0).uniform(-30, 30, (6000, 3)) * [1, 1, 0.3]
+        data / "sim" / "1.bin",
+        np.random.default_rng(0).uniform(-30, 30, (6000, 3)) * [1, 1, 0.3],
     )
     out = tmp_path / "run"
     words = "in 1 of 2 pairs the two scans do not show the same place, but count (1)"
@@ -143,7 +144,9 @@ def test_frames_are_compared_again_only_where_files_or_input_settings_changed(
     settings = load(None, ["graph.k=10"])
     compared = []
     monkeypatch.setattr(
-        sensor_job, "check_frames", lambda *scans: compared.append(scans) or check_frames(*scans)
+        sensor_job,
+        "check_frames",
+        lambda *scans: compared.append(scans) or check_frames(*scans),
     )
     assert run(data, out, settings).record.frames.keys() == {"0"}
     assert len(compared) == 2
@@ -169,11 +172,15 @@ def test_equal_files_are_named_within_a_pair_and_between_pairs(tmp_path):
         write_bin(tmp_path / f"{name}.bin", scan(0))
     write_bin(tmp_path / "sim/b.bin", drifted(scan(0)))
     warnings = check_dataset(tmp_path, Settings()).warnings
-    assert [text.partition(":")[0] for text in warnings] == ["pairs a (real), a (sim), b (real)"]
+    assert [text.partition(":")[0] for text in warnings] == [
+        "pairs a (real), a (sim), b (real)"
+    ]
 
 
 def test_many_warnings_of_a_kind_are_counted():
-    lines = few_of_each([*(f"pair {i}: too {i}; set x" for i in range(13)), "pair 1: half a sweep"])
+    lines = few_of_each(
+        [*(f"pair {i}: too {i}; set x" for i in range(13)), "pair 1: half a sweep"]
+    )
     assert lines[9:] == [
         "pair 9: too 9; set x",
         "3 more like that; fidpipe check lists them",
@@ -198,7 +205,9 @@ def test_sides_that_are_named_after_each_other_are_named(tmp_path, row, swapped)
     for i, name in enumerate(names):
         write_bin(tmp_path / name, drifted(scan(0), seed=i))
     (tmp_path / "pairs.csv").write_text(f"pair_id,real,sim\n{row}\n")
-    warnings = [text for text in check_dataset(tmp_path, Settings()).warnings if "swapped" in text]
+    warnings = [
+        text for text in check_dataset(tmp_path, Settings()).warnings if "swapped" in text
+    ]
     assert len(warnings) == (swapped is not None)
     assert all(swapped in text for text in warnings)
 

@@ -53,7 +53,9 @@ def test_measures_are_the_numbers_of_the_tables(finished):
     assert of("not_found.max") == alone.groupby("pair_id").size().max()
     assert of("not_found.within_12m") == (alone.range_m < 12).sum()
     near = objects[(objects.side == "real") & (objects.range_m < 12)]
-    assert of("not_found.within_12m.share") == pytest.approx((alone.range_m < 12).sum() / len(near))
+    assert of("not_found.within_12m.share") == pytest.approx(
+        (alone.range_m < 12).sum() / len(near)
+    )
     assert of("matched.mean") == pytest.approx(pairs.n_matched.mean())
     assert [of(f"pairs.{state}") for state in ("scored", "failed", "to_do", "changed")] == [
         3,
@@ -79,7 +81,9 @@ UNKNOWN = [
 @pytest.mark.parametrize("name", [*UNKNOWN, "r_lamda.mean"])
 def test_an_unknown_measure_is_named_with_those_that_are_known(finished, name):
     advice = (
-        r"did you mean r_lambda\.mean\?" if name == "r_lamda.mean" else f"(did you mean|{KNOWN})"
+        r"did you mean r_lambda\.mean\?"
+        if name == "r_lamda.mean"
+        else f"(did you mean|{KNOWN})"
     )
     with pytest.raises(SettingsError, match=advice):
         Measures(FinishedRun(finished)).named(name)
@@ -101,7 +105,9 @@ def test_bounds_are_inclusive(finished):
 
 
 def test_what_could_not_be_computed_fails_whatever_the_bound(finished):
-    found = judged(finished, "max class.car.r_lambda.mean=1000", "min class.car.not_found.total=-1")
+    found = judged(
+        finished, "max class.car.r_lambda.mean=1000", "min class.car.not_found.total=-1"
+    )
     for of in (found["class.car.r_lambda.mean"], found["class.car.not_found.total"]):
         assert (of.value, of.passed) == (None, False)
         assert "could not be computed: no" in of.why
@@ -169,7 +175,9 @@ def test_labels_their_names_and_T_real_sim_count_as_changes(moved):
     write_manifest(data, "1 0 0 0.5 0 1 0 0 0 0 1 0")
     assert (changed(moved).value, changed(moved).passed) == (1, False)
     write_manifest(data, "")
-    (data / "labels.toml").write_text('4 = "car"\n')  # of the pair with labels, not of the other
+    (data / "labels.toml").write_text(
+        '4 = "car"\n'
+    )  # of the pair with labels, not of the other
     assert changed(moved).value == 1
     (data / "labels.toml").write_text('4 = "tree"\n')
     labels = data / "real" / "000.label"
@@ -199,7 +207,12 @@ def test_a_run_without_a_scored_pair_fails_with_files_for_ci(tmp_path):
     data = write_dataset(tmp_path / "streets", 1)
     (data / "sim" / "000.bin").write_bytes(b"")
     run(data, tmp_path / "run")
-    measures = ("not_found.within_20m", "objects.cdc.mean", "class.car.not_found.total", "cdc.mean")
+    measures = (
+        "not_found.within_20m",
+        "objects.cdc.mean",
+        "class.car.not_found.total",
+        "cdc.mean",
+    )
     words = [word for measure in measures for word in ("--max", f"{measure}=1")]
     command("gate", tmp_path / "run", *words, code=4)
     assert (tmp_path / "run" / "gate.xml").exists()
@@ -209,7 +222,9 @@ def test_a_run_without_a_scored_pair_fails_with_files_for_ci(tmp_path):
 
 
 def test_the_command_exits_with_zero_or_four_and_writes_what_ci_reads(again, tmp_path):
-    good = command("gate", again, "--max", "r_lambda.mean=1", "--min", "match_rate.mean=0", code=0)
+    good = command(
+        "gate", again, "--max", "r_lambda.mean=1", "--min", "match_rate.mean=0", code=0
+    )
     assert "all criteria are met" in good.stdout
     bad = command(
         "gate",
@@ -264,7 +279,10 @@ def test_a_file_of_criteria_gives_names_and_reasons(tmp_path):
     [
         ("", "criterion"),
         ('[[criterion]]\nname = "a"\nmeasure = "cdc.mean"\nmax = 1\n', "criterion.0.reason"),
-        ('[[criterion]]\nname = "a"\nmeasure = "cdc.mean"\nreason = "b"\n', "expected max or min"),
+        (
+            '[[criterion]]\nname = "a"\nmeasure = "cdc.mean"\nreason = "b"\n',
+            "expected max or min",
+        ),
         (
             '[[criterion]]\nname = "a"\nmeasure = "cdc.mean"\nreason = "b"\nmax = nan\n',
             "criterion.0.max",

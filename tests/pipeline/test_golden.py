@@ -24,7 +24,9 @@ def test_the_numbers_of_a_stage_change_only_with_its_code_version(measured, want
         f"numbers of stage {stage} changed under version {found['version']} (golden: {kept['version']}); if that is "
         "meant, raise the version in pipeline/jobs, say why in CHANGELOG.md, and run python tools/golden.py"
     )
-    assert found["version"] == kept["version"], "the version was raised: run python tools/golden.py"
+    assert found["version"] == kept["version"], (
+        "the version was raised: run python tools/golden.py"
+    )
 
 
 def test_the_comparison_sees_a_small_change():

@@ -91,7 +91,9 @@ def test_on_a_lattice_of_ties_the_matching_is_that_of_the_literal_oracle(real, s
 
 @tried(8)
 @given(scene=seeds, order_real=seeds, order_sim=seeds)
-def test_under_the_preset_reference_the_order_of_rows_changes_nothing(scene, order_real, order_sim):
+def test_under_the_preset_reference_the_order_of_rows_changes_nothing(
+    scene, order_real, order_sim
+):
     real = street(scene, n=50)
     sim = drifted(street(scene, n=50), scene)
     a = evaluate_pair(real, sim, {"preset": "reference"}).summary
@@ -121,7 +123,8 @@ def test_a_rigid_motion_of_both_sides_changes_no_score(scene, angle_deg, shift_m
     scores = []
     for scans in (sides, [moved(points, T) for points in sides]):
         ground = {
-            ("ground", side): ground_table(scan) for side, scan in zip(SIDES, scans, strict=True)
+            ("ground", side): ground_table(scan)
+            for side, scan in zip(SIDES, scans, strict=True)
         }
         made, outputs = run_in_memory(SCORING, own, tables=ground)
         tables.append(made)

@@ -45,7 +45,9 @@ def test_what_was_put_is_read_again_by_this_process_and_by_another(ledger, tmp_p
             "pairs/0.parquet",
         }
         assert known.files() == names
-        with mock.patch("fidpipe.pipeline.storage.ledger.hash_file", side_effect=AssertionError):
+        with mock.patch(
+            "fidpipe.pipeline.storage.ledger.hash_file", side_effect=AssertionError
+        ):
             assert known.input_hash(tmp_path / "scan") == sha256
         assert known.jobs("street 5") == {}
         assert known.failure("street 5", ["key"]) == "étroit"
@@ -62,7 +64,10 @@ def test_entries_are_found_after_others_were_replaced_and_dropped(ledger, tmp_pa
     assert ledger.failure("b", ["key"]) is None
     for pair_id in "bc":
         ledger.drop_jobs(pair_id, [record(pair_id)])
-    jobs = {("graph", "real"): record("a", n=2), ("matching", "real"): record("a", "matching", n=5)}
+    jobs = {
+        ("graph", "real"): record("a", n=2),
+        ("matching", "real"): record("a", "matching", n=5),
+    }
     assert Ledger(tmp_path).jobs("a") == jobs
     assert Ledger(tmp_path).pair_ids() == ["a"]
     assert [path.name for path in (tmp_path / LEDGER).iterdir()] == ["a.json"]

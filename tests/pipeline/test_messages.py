@@ -120,7 +120,9 @@ def folders(folder, real=("a",), sim=("a",)):
 
 
 @pytest.mark.parametrize("verb", ["run", "check"])
-def test_scans_without_any_partner_are_counted_with_an_example_and_the_next_step(tmp_path, verb):
+def test_scans_without_any_partner_are_counted_with_an_example_and_the_next_step(
+    tmp_path, verb
+):
     data = folders(tmp_path / "data", ["left", "right"], ["west"])
     words = ["--workers", 1] if verb == "run" else []
     counts = "none of 2 real and 1 simulated scans"
@@ -151,7 +153,9 @@ def test_names_of_the_same_number_are_answered_with_the_command_that_pairs_them(
         (("real", "sim"), "no scans found in {0}/sim"),
     ],
 )
-def test_an_empty_folder_or_side_is_named_in_one_line_with_the_next_step(tmp_path, sides, words):
+def test_an_empty_folder_or_side_is_named_in_one_line_with_the_next_step(
+    tmp_path, sides, words
+):
     for side in sides:
         (tmp_path / side).mkdir()
     if len(sides) == 2:
@@ -166,7 +170,9 @@ def test_a_box_of_three_numbers_is_refused_with_their_number(tmp_path):
 
 
 def test_a_manifest_column_of_ones_own_is_ignored_with_a_warning(data):
-    (data / "pairs.csv").write_text("pair_id,real,sim,weather\na,real/000.bin,sim/000.bin,rain\n")
+    (data / "pairs.csv").write_text(
+        "pair_id,real,sim,weather\na,real/000.bin,sim/000.bin,rain\n"
+    )
     (warning,) = read_dataset(data).warnings
     assert "column weather" in warning
 
@@ -197,7 +203,9 @@ def test_a_run_on_a_read_only_medium_is_judged_compared_and_reported_elsewhere(
     assert {path: path.stat().st_mtime_ns for path in medium.rglob("*")} == before
 
 
-@pytest.mark.parametrize("words", [("status",), ("gate", "--max", "r_lambda.mean=1"), ("check",)])
+@pytest.mark.parametrize(
+    "words", [("status",), ("gate", "--max", "r_lambda.mean=1"), ("check",)]
+)
 def test_a_folder_that_may_not_be_searched_is_named_in_one_line(tmp_path, words):
     (tmp_path / "shut").mkdir()
     forbid = read_only(tmp_path / "shut", mode=0o600)
@@ -206,7 +214,9 @@ def test_a_folder_that_may_not_be_searched_is_named_in_one_line(tmp_path, words)
     assert "Permission denied" in result.stderr
 
 
-@pytest.mark.parametrize("words", [("show",), ("status",), ("gate", "--max", "r_lambda.mean=1")])
+@pytest.mark.parametrize(
+    "words", [("show",), ("status",), ("gate", "--max", "r_lambda.mean=1")]
+)
 def test_a_file_in_place_of_a_run_is_named_as_a_file(finished, tmp_path, words):
     (tmp_path / "page.html").touch()
     assert f"run {tmp_path}/page.html: " in one_error(
@@ -265,7 +275,9 @@ def test_a_working_folder_that_is_gone_is_said_in_one_line(data, tmp_path):
     assert one_error(ended)
 
 
-def test_too_little_address_space_for_workers_is_said_before_they_wait_for_ever(dataset, tmp_path):
+def test_too_little_address_space_for_workers_is_said_before_they_wait_for_ever(
+    dataset, tmp_path
+):
     def limit():
         resource.setrlimit(resource.RLIMIT_AS, (10**9, 10**9))
 

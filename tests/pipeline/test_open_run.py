@@ -49,7 +49,9 @@ def test_the_objects_are_one_table_with_scores_coverage_and_units(run, report_ru
     coverage = (
         pd.read_parquet(report_run / "coverage").dropna(subset="community_id").set_index(keys)
     )
-    np.testing.assert_array_equal(objects.covered_0p3m, coverage.loc[objects.index].covered_0p3m)
+    np.testing.assert_array_equal(
+        objects.covered_0p3m, coverage.loc[objects.index].covered_0p3m
+    )
     matched = run.objects.query("side == 'real' and fate == 'matched'").set_index(
         ["pair_id", "community_id"]
     )

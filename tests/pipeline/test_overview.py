@@ -42,7 +42,9 @@ def finished(tmp_path_factory):
         manifest += f"{name},real/{name}.bin,sim/{name}.bin,{100 * i}\n"
     (folder / "streets" / "pairs.csv").write_text(manifest)
     long = "movable_object.pushable_pullable_and_more_words_than_fit"
-    (folder / "streets" / "labels.toml").write_text(f'1 = "{long}.a"\n2 = "{long}.b"\n3 = "car"\n')
+    (folder / "streets" / "labels.toml").write_text(
+        f'1 = "{long}.a"\n2 = "{long}.b"\n3 = "car"\n'
+    )
     return folder / "streets", folder / "run", run(folder / "streets", folder / "run")
 
 
@@ -53,7 +55,10 @@ def test_nodes_are_badly_aligned_where_centroids_would_not_match():
 def test_the_overview_of_the_record_is_that_of_the_tables(finished):
     _, folder, outcome = finished
     overview = outcome.record.overview
-    objects, coverage = pd.read_parquet(folder / "objects"), pd.read_parquet(folder / "coverage")
+    objects, coverage = (
+        pd.read_parquet(folder / "objects"),
+        pd.read_parquet(folder / "coverage"),
+    )
     both = objects.merge(
         coverage.dropna(subset="community_id"), on=["pair_id", "side", "community_id"]
     )
@@ -66,7 +71,8 @@ def test_the_overview_of_the_record_is_that_of_the_tables(finished):
             ("sim", one.n_sim_points, one.invented_share),
         ):
             own = both[
-                (both.side == side) & (both["label" if one.by == "class" else "band"] == one.name)
+                (both.side == side)
+                & (both["label" if one.by == "class" else "band"] == one.name)
             ]
             assert n == own.n_points_x.sum()
             expected = (own.n_points_x * (1 - own.covered_0p3m)).sum() / n if n else None
@@ -88,12 +94,20 @@ def test_the_overview_read_again_is_the_one_written(finished):
     )
     assert findings == again.record.findings
     assert found.as_dict() == {
-        name: value for name, value in again.record.overview.as_dict().items() if name != "trust"
+        name: value
+        for name, value in again.record.overview.as_dict().items()
+        if name != "trust"
     }
 
 
 def test_the_largest_pieces_are_named_by_size_place_and_fate_and_one_that_moved_once():
-    place = {"range_m": 7.2, "bearing_deg": 40.0, "extent_x": 4.2, "extent_y": 1.8, "extent_z": 1.5}
+    place = {
+        "range_m": 7.2,
+        "bearing_deg": 40.0,
+        "extent_x": 4.2,
+        "extent_y": 1.8,
+        "extent_z": 1.5,
+    }
     moved = {f"moved_{axis}_m": 0.5 * (axis == "y") for axis in "xyz"}
     rows = [
         ("real", 0, 90, "gone", None),
@@ -159,7 +173,9 @@ def test_no_line_is_wider_than_80_columns_with_long_names_and_labels(finished, n
         first = [line.split()[0] for line in shown.splitlines() if line.startswith(" n008")]
         assert len(set(first)) == 3, "shortened names can be told apart"
         assert all(
-            line.rstrip()[-1].isdigit() for line in shown.splitlines() if line.startswith(" n008")
+            line.rstrip()[-1].isdigit()
+            for line in shown.splitlines()
+            if line.startswith(" n008")
         ), "in a line"
 
 
@@ -212,7 +228,9 @@ def test_the_findings_agree_with_the_tables(finished):
         for by in ("range", "class"):
             groups = [group for group in found["groups"] if group["by"] == by]
             assert sum(group[f"n_{side}"] for group in groups) == (objects.side == side).sum()
-            assert sum(group[f"n_{what}"] for group in groups) == (matching.status == what).sum()
+            assert (
+                sum(group[f"n_{what}"] for group in groups) == (matching.status == what).sum()
+            )
 
 
 def test_a_run_with_nothing_new_reads_no_table_again(finished, monkeypatch):
@@ -220,7 +238,9 @@ def test_a_run_with_nothing_new_reads_no_table_again(finished, monkeypatch):
     monkeypatch.setattr(
         run_module, "describe_objects", lambda *_, **__: pytest.fail("the tables were read")
     )
-    assert run(data, folder).record.as_dict()["findings"] == outcome.record.as_dict()["findings"]
+    assert (
+        run(data, folder).record.as_dict()["findings"] == outcome.record.as_dict()["findings"]
+    )
 
 
 def test_other_timestamps_make_other_findings(finished):
@@ -245,7 +265,9 @@ def test_copies_of_a_pair_count_once(tmp_path):
     copied = run(data, tmp_path / "copied")
     assert copied.record.findings.n_places == once.record.findings.n_places == 1
     cautions = [caution.words for caution in copied.record.overview.trust]
-    assert "3 neighbouring frames of one place: a verdict on the world needs 6 places" in cautions
+    assert (
+        "3 neighbouring frames of one place: a verdict on the world needs 6 places" in cautions
+    )
 
 
 def test_a_pair_without_a_match_is_counted_beside_the_means_and_is_the_worst(tmp_path):
@@ -253,7 +275,10 @@ def test_a_pair_without_a_match_is_counted_beside_the_means_and_is_the_worst(tmp
     write_bin(data / "sim" / "001.bin", street() + [60, 0, 0])
     outcome = run(data, tmp_path / "run")
     summary, n_scored = outcome.record.summary, outcome.record.pairs.scored
-    assert (summary["cdc_mean"].n_pairs, summary["match_rate"].n_pairs) == (n_scored - 1, n_scored)
+    assert (summary["cdc_mean"].n_pairs, summary["match_rate"].n_pairs) == (
+        n_scored - 1,
+        n_scored,
+    )
     assert summary["cdc_unmatched_worst_mean"].n_pairs == n_scored
     view = summary_view(FinishedRun(outcome.folder), with_all=True)
     line = next(

@@ -62,7 +62,11 @@ def eigenfeatures(points):
     apart = points[near] - points[near].mean(axis=1, keepdims=True)
     values = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", apart, apart))
     return np.column_stack(
-        [values / values.sum(axis=1, keepdims=True), points[:, 2], np.ptp(points[near, 2], axis=1)]
+        [
+            values / values.sum(axis=1, keepdims=True),
+            points[:, 2],
+            np.ptp(points[near, 2], axis=1),
+        ]
     )
 
 
@@ -98,13 +102,16 @@ def boxes(folder):
         path.parent.mkdir(parents=True, exist_ok=True)
         lines = [kitti_line(*box) for box in zip(found.centre, found.size_m, strict=True)]
         path.write_text(
-            "\n".join([*lines, "DontCare -1 -1 -10 0 0 0 0 -1 -1 -1 -1000 -1000 -1000 -10"]) + "\n"
+            "\n".join([*lines, "DontCare -1 -1 -10 0 0 0 0 -1 -1 -1 -1000 -1000 -1000 -10"])
+            + "\n"
         )
     return folder / "boxes"
 
 
 def test_a_segmenter_is_compared_by_class_and_by_object(folder, labels):
-    result = compare_predictions(fidpipe.open_run(folder / "run"), labels / "real", labels / "sim")
+    result = compare_predictions(
+        fidpipe.open_run(folder / "run"), labels / "real", labels / "sim"
+    )
     by_class = {row["class"]: row for row in result.classes}
     assert by_class["road"]["iou"] > 0.9
     assert {"car", "3"} <= set(by_class)
@@ -123,7 +130,9 @@ def test_a_segmenter_is_compared_by_class_and_by_object(folder, labels):
 
 def test_sides_without_common_surface_have_no_classes(folder, labels, monkeypatch):
     monkeypatch.setattr(predictions, "counterparts", lambda points, _: np.full(len(points), -1))
-    result = compare_predictions(fidpipe.open_run(folder / "run"), labels / "real", labels / "sim")
+    result = compare_predictions(
+        fidpipe.open_run(folder / "run"), labels / "real", labels / "sim"
+    )
     assert (result.classes, result.objects) == ((), ())
     assert "0 objects with predictions" in text_of(agreement_view(result))
 
@@ -170,7 +179,9 @@ def test_boxes_of_nuscenes_are_the_same_as_those_of_kitti(folder, boxes, tmp_pat
     assert found.yaw == pytest.approx(np.pi)
     finished = fidpipe.open_run(folder / "run")
     result = compare_predictions(finished, tmp_path / "real", tmp_path / "sim")
-    assert result.classes == compare_predictions(finished, boxes / "real", boxes / "sim").classes
+    assert (
+        result.classes == compare_predictions(finished, boxes / "real", boxes / "sim").classes
+    )
     assert len(result.objects) > 2 * N_PAIRS
     for content in ("[{}]", "3", "{", '[{"size": [1, 2]}]', '{"results": {}}'):
         (tmp_path / "a.json").write_text(content)
@@ -237,17 +248,25 @@ def test_boxes_of_one_class_within_two_metres_are_the_same():
     places = np.array([[0.0, 0, 0], [1.5, 0, 0], [9, 0, 0]])
     real = Boxes(np.array(["car", "car", "car"]), places, np.ones((3, 3)), np.zeros(3))
     sim = Boxes(
-        np.array(["car", "bus"]), np.array([[1.4, 0, 5], [9.0, 0, 0]]), np.ones((2, 3)), np.zeros(2)
+        np.array(["car", "bus"]),
+        np.array([[1.4, 0, 5], [9.0, 0, 0]]),
+        np.ones((2, 3)),
+        np.zeros(2),
     )
     assert match_detections(real, sim).tolist() == [-1, 0, -1]
     assert (
-        match_detections(real, Boxes(sim.names[:0], places[:0], places[:0], places[:0, 0])).tolist()
+        match_detections(
+            real, Boxes(sim.names[:0], places[:0], places[:0], places[:0, 0])
+        ).tolist()
         == [-1] * 3
     )
 
 
 def test_the_interval_of_an_auc_comes_from_leaving_out_scans():
-    scores, is_lost = np.array([0.1, 0.9, 0.2, 0.8, 0.3, 0.7]), np.array([0, 1, 0, 1, 0, 1], bool)
+    scores, is_lost = (
+        np.array([0.1, 0.9, 0.2, 0.8, 0.3, 0.7]),
+        np.array([0, 1, 0, 1, 0, 1], bool),
+    )
     scans_of = np.array([0, 0, 1, 1, 2, 2])
     assert lost_auc(scores, is_lost) == 1
     assert jackknife_interval(scores, is_lost, scans_of) == (1, 1)

@@ -25,7 +25,8 @@ def test_the_terminal_the_comparison_and_the_gate_take_it(by_reference):
     assert comparison.on_partition == ""
     assert not comparison.unfollowed
     result = judge_run(
-        out, [parse_word("covered.real.0.3m.mean=0.1", "min"), parse_word("shift_m.max=9", "max")]
+        out,
+        [parse_word("covered.real.0.3m.mean=0.1", "min"), parse_word("shift_m.max=9", "max")],
     )
     assert result.passed
     assert not any("partition" in note for note in result.notes)
@@ -34,7 +35,16 @@ def test_the_terminal_the_comparison_and_the_gate_take_it(by_reference):
 def test_seeds_ablation_and_perturbation_take_it(dataset, tmp_path):
     words = ["--preset", "reference", "--workers", 1]
     command(
-        "run", dataset, "--out", tmp_path / "seeds", "--pairs", "001", "--seeds", 2, *words, code=0
+        "run",
+        dataset,
+        "--out",
+        tmp_path / "seeds",
+        "--pairs",
+        "001",
+        "--seeds",
+        2,
+        *words,
+        code=0,
     )
     table = pd.read_parquet(tmp_path / "seeds" / "seeds")
     row = tables(tmp_path / "seeds")["pairs.parquet"].to_pylist()[0]
@@ -64,7 +74,8 @@ def test_points_of_classes_that_are_left_out_belong_to_no_object(tmp_path, word,
     assert not outcome.failures
     own = {
         side: pd.read_parquet(tmp_path / "run" / "ground" / f"a.{side}.parquet").merge(
-            pd.read_parquet(tmp_path / "run" / "communities" / f"a.{side}.parquet"), on="point_id"
+            pd.read_parquet(tmp_path / "run" / "communities" / f"a.{side}.parquet"),
+            on="point_id",
         )
         for side in ("real", "sim")
     }

@@ -38,7 +38,8 @@ def ply(points, fmt, label=False):
         rows = "".join(f"{x} {y} {z} 7{' 4' if label else ''}\n" for x, y, z in points)
         return (head + rows).encode()
     return (
-        head.encode() + np.column_stack([points, np.full(len(points), 7)]).astype("<f4").tobytes()
+        head.encode()
+        + np.column_stack([points, np.full(len(points), 7)]).astype("<f4").tobytes()
     )
 
 
@@ -160,7 +161,11 @@ def test_carla_ray_cast_has_its_intensity(tmp_path):
 
 
 def test_carla_semantic_ray_cast_has_instances_and_names_of_tags(tmp_path):
-    columns = {"CosAngle": [1.0, 0.5, 0.125], "ObjIdx": [0, 4000000000, 17], "ObjTag": [1, 14, 250]}
+    columns = {
+        "CosAngle": [1.0, 0.5, 0.125],
+        "ObjIdx": [0, 4000000000, 17],
+        "ObjTag": [1, 14, 250],
+    }
     (tmp_path / "a.ply").write_text(carla_ply(POINTS, columns))
     scan = read_scan(tmp_path / "a.ply")
     np.testing.assert_array_equal(scan.points, POINTS)
@@ -178,9 +183,12 @@ def test_carla_semantic_ray_cast_has_instances_and_names_of_tags(tmp_path):
 def test_names_of_labels_hold_for_a_column_of_numbers_and_are_part_of_the_key(tmp_path):
     (tmp_path / "a.ply").write_bytes(ply(POINTS, "ascii", label=True))
     assert read_scan(tmp_path / "a.ply").labels.tolist() == ["4"] * 3
-    assert read_scan(tmp_path / "a.ply", label_names={4: "tree"}).labels.tolist() == ["tree"] * 3
+    assert (
+        read_scan(tmp_path / "a.ply", label_names={4: "tree"}).labels.tolist() == ["tree"] * 3
+    )
     contents = [
-        scan_content(tmp_path / "a.ply").key(names, None) for names in ({}, {4: "tree"}, {4: "car"})
+        scan_content(tmp_path / "a.ply").key(names, None)
+        for names in ({}, {4: "tree"}, {4: "car"})
     ]
     assert len(set(contents)) == 3
     raw = scan_content(write_bin(tmp_path / "b.bin", POINTS))
@@ -313,7 +321,11 @@ SECOND = 10**9
 def bag_of(path, *scans, topic="/points"):
     """Frames at 5.0 s, 5.1 s, ..."""
     made = [
-        (topic, 5 * SECOND + i * SECOND // 10, lambda types, scan=scan: cloud(types, rows(scan)))
+        (
+            topic,
+            5 * SECOND + i * SECOND // 10,
+            lambda types, scan=scan: cloud(types, rows(scan)),
+        )
         for i, scan in enumerate(scans)
     ]
     return write_bag(path, made)
@@ -386,7 +398,9 @@ def test_a_bag_without_point_clouds_says_what_it_holds(tmp_path):
 
 
 def test_two_frames_of_one_time_are_told_apart_by_number_alone(tmp_path):
-    made = [("/points", SECOND, lambda types, i=i: cloud(types, rows(street(i)))) for i in range(2)]
+    made = [
+        ("/points", SECOND, lambda types, i=i: cloud(types, rows(street(i)))) for i in range(2)
+    ]
     bag = write_bag(tmp_path / "a.bag", made)
     for i in range(2):
         np.testing.assert_array_equal(
@@ -518,7 +532,8 @@ def test_bags_captures_and_packets_in_bags_hold_the_same_points(real_data, packe
         for i, turn in enumerate(turns)
     ]
     places = [
-        folder / name for name in ("rosbag1.bag", "rosbag2_sqlite3", "rosbag2_mcap", "sweeps.pcap")
+        folder / name
+        for name in ("rosbag1.bag", "rosbag2_sqlite3", "rosbag2_mcap", "sweeps.pcap")
     ]
     places += [write_bag(tmp_path / name, made) for name in BAGS]
     for i, n_points in enumerate((26710, 26335, 26317)):

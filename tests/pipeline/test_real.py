@@ -32,7 +32,8 @@ def test_objects_fixed_on_the_real_side_are_found_whatever_the_order_of_rows_and
     real_data, rng, turn_deg
 ):
     points = moved(
-        read_scan(real_data / "rellis" / "vel000104.bin").points, rigid(turn_deg, [0.5, -0.3, 0.2])
+        read_scan(real_data / "rellis" / "vel000104.bin").points,
+        rigid(turn_deg, [0.5, -0.3, 0.2]),
     )
     result = evaluate_pair(points, rng.permutation(points), {"preset": "reference"})
     assert set(result.metrics.status) == {"identical"}

@@ -112,7 +112,9 @@ class Faulty(http.server.BaseHTTPRequestHandler):
 @pytest.fixture(scope="module")
 def proxy():
     """The address of the proxy."""
-    server = pytest.importorskip("moto.server").ThreadedMotoServer(ip_address="127.0.0.1", port=0)
+    server = pytest.importorskip("moto.server").ThreadedMotoServer(
+        ip_address="127.0.0.1", port=0
+    )
     server.start()
     host, port = server.get_host_and_port()
     own = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Faulty)
@@ -189,7 +191,8 @@ def test_a_run_from_and_to_a_bucket_has_the_tables_of_a_local_one(bucket, local,
     assert len(open_run(f"{bucket}/runs/x").pairs) == 2
     texts = [path.read_bytes() for path in (tmp_path / "cache").rglob("*") if path.is_file()]
     assert not any(
-        SECRET.encode() in text for text in (*texts, ended.stdout.encode(), ended.stderr.encode())
+        SECRET.encode() in text
+        for text in (*texts, ended.stdout.encode(), ended.stderr.encode())
     )
 
 
@@ -224,7 +227,9 @@ def test_a_run_elsewhere_resumes_from_the_tables_that_are_there(
         half = downloaded(f"{bucket}/runs/half", tmp_path / f"half-{writes_all}")
         assert_same_tables(half, local / "run")
         written = {
-            path.split("/half/")[1].split("/")[0] for verb, path in Faulty.requests if verb == "PUT"
+            path.split("/half/")[1].split("/")[0]
+            for verb, path in Faulty.requests
+            if verb == "PUT"
         }
         assert not {*KEPT} & written, "they were there"
         assert ("metrics" in written) == writes_all
@@ -350,10 +355,14 @@ def test_a_user_without_home_and_name_reads_urls_and_runs(bucket, local):
         pytest.skip("this user cannot be another one")
     upload(local / "set", f"{bucket}/set")
     environment = {
-        name: value for name, value in os.environ.items() if name not in ("HOME", "FIDPIPE_CACHE")
+        name: value
+        for name, value in os.environ.items()
+        if name not in ("HOME", "FIDPIPE_CACHE")
     }
     words = ["setpriv", "--reuid=54321", "--regid=54321", "--clear-groups", FIDPIPE, "run"]
-    with tempfile.TemporaryDirectory() as folder:  # pytest's folders are those of this user alone
+    with (
+        tempfile.TemporaryDirectory() as folder
+    ):  # pytest's folders are those of this user alone
         shutil.copytree(local / "set", f"{folder}/set")
         Path(folder).chmod(0o777)
         environment["TMPDIR"] = folder
@@ -460,7 +469,9 @@ def test_the_url_never_holds_a_ledger_without_the_tables_that_it_names(tmp_path,
         (folder / name).write_bytes(content)
         file = StoredFile(len(content), hashlib.sha256(content).hexdigest(), 0)
         for pair_id in ("a", str(n_jobs)):
-            Ledger(folder).put_job(JobRecord("graph", pair_id, str(n_jobs), "key", {name: file}))
+            Ledger(folder).put_job(
+                JobRecord("graph", pair_id, str(n_jobs), "key", {name: file})
+            )
         (folder / "run.json").write_text(str(n_jobs))
 
     def put(url, content, mode="overwrite"):
@@ -502,7 +513,9 @@ def test_a_manifest_names_objects_and_may_be_one_without_a_listing(
     upload(local / "set", f"{bucket}/set")
     (tmp_path / "named").mkdir()
     manifest = tmp_path / "named" / "pairs.csv"
-    manifest.write_text(f"pair_id,real,sim\na,{bucket}/set/real/000.bin,{bucket}/set/sim/000.bin\n")
+    manifest.write_text(
+        f"pair_id,real,sim\na,{bucket}/set/real/000.bin,{bucket}/set/sim/000.bin\n"
+    )
     assert "1 of 1 pairs can be evaluated" in command("check", manifest.parent).stdout
     (local / "set" / "pairs.csv").write_text("pair_id,real,sim\na,real/000.bin,sim/000.bin\n")
     quiet = type(
@@ -534,7 +547,10 @@ def test_a_place_that_holds_something_else_is_not_written_to(bucket, local):
     refused = command("run", local / "set", "--out", f"{bucket}/set", "--workers", "1")
     assert refused.returncode == 1
     assert f"{bucket}/set" in refused.stderr
-    assert {one.name for one in list_objects(f"{bucket}/set")} >= {"real/000.bin", "sim/001.bin"}
+    assert {one.name for one in list_objects(f"{bucket}/set")} >= {
+        "real/000.bin",
+        "sim/001.bin",
+    }
 
 
 def test_a_stub_outside_of_the_cache_is_no_scan(bucket, local, tmp_path):
@@ -549,7 +565,9 @@ def test_what_is_not_there_is_said_in_one_line(bucket):
         local_folder(f"{bucket}/nothing")
     with pytest.raises(StoreError, match=r"nothing/x\.bin"):
         read_object(f"{bucket}/nothing/x.bin")
-    assert os.environ["AWS_SECRET_ACCESS_KEY"] not in command("show", f"{bucket}/nothing").stderr
+    assert (
+        os.environ["AWS_SECRET_ACCESS_KEY"] not in command("show", f"{bucket}/nothing").stderr
+    )
 
 
 def kill_after_a_table(pid):
@@ -562,7 +580,9 @@ def kill_after_a_table(pid):
 
 
 @pytest.mark.exhaustive
-def test_workers_without_a_shared_disk_finish_a_run_from_and_to_a_bucket(bucket, local, tmp_path):
+def test_workers_without_a_shared_disk_finish_a_run_from_and_to_a_bucket(
+    bucket, local, tmp_path
+):
     """They see neither the cache nor the dataset: a file system of their own lies over both."""
     cache = tmp_path / "cache"
     dataset = local / "set"

@@ -51,7 +51,9 @@ def test_words_to_be_typed_stay_whole_in_80_columns():
 
 
 def test_a_page_has_every_column_and_no_name_as_markup():
-    template = _environment().from_string('{% from "tables.html" import view %}{{ view(parts) }}')
+    template = _environment().from_string(
+        '{% from "tables.html" import view %}{{ view(parts) }}'
+    )
     page = template.render(parts=[Table("<b>", ("pair", "n"), [("<i>", 1)]), *VIEW[1:]])
     assert "&lt;b&gt;" in page
     assert "<i>" not in page

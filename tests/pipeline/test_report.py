@@ -79,7 +79,9 @@ def test_the_papers_figures_are_written_as_png_svg_and_pdf_and_keep_other_files(
             assert ElementTree.parse(path).getroot().tag.endswith("svg")
 
 
-def test_the_head_of_the_page_names_the_preset_and_what_departs_from_it(report_run, by_reference):
+def test_the_head_of_the_page_names_the_preset_and_what_departs_from_it(
+    report_run, by_reference
+):
     paper = words_of(report_run)["line"]
     reference = words_of(by_reference)["line"]
     assert paper.endswith("preset paper")
@@ -114,7 +116,9 @@ def test_the_page_asks_for_nothing_from_elsewhere(written):
     assert not re.search(r"(src|href)=[\"']?(https?:)?//", words(page_of(written)))
 
 
-def test_a_run_after_a_report_neither_removes_nor_trips_over_it(copied_run, report_run, written):
+def test_a_run_after_a_report_neither_removes_nor_trips_over_it(
+    copied_run, report_run, written
+):
     shutil.copytree(written, copied_run, dirs_exist_ok=True)
     assert run(report_run.with_name("streets"), copied_run).n_made == 0
     assert_same_tables(copied_run, report_run)
@@ -184,7 +188,11 @@ def test_the_largest_pieces_lead_into_the_3d_view(by_reference, tmp_path):
         assert asked["pair"] == [piece.pair_id]
         side, number = asked["object"][0].split()
         assert objects.n_points[piece.pair_id, side, int(number)] > 0
-        assert (side, html.escape(link) in page, piece.words in page) == (piece.side, True, True)
+        assert (side, html.escape(link) in page, piece.words in page) == (
+            piece.side,
+            True,
+            True,
+        )
 
 
 def test_points_that_belong_to_no_object_are_left_out_of_the_page(by_reference):
@@ -291,7 +299,9 @@ def test_a_page_has_every_point_of_every_object_and_no_other(either_run):
             )
             of_page = points_in(view, side, "road")
             assert 0 < len(of_page) <= len(road)
-            assert cKDTree(road).query(of_page)[0].max() <= np.sqrt(3) / 2 * view["step_m"] + 1e-9
+            assert (
+                cKDTree(road).query(of_page)[0].max() <= np.sqrt(3) / 2 * view["step_m"] + 1e-9
+            )
 
 
 def test_thinning_leaves_no_object_out():

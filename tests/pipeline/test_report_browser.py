@@ -41,9 +41,7 @@ NO_SCORE = "-"
 def browser(tmp_path_factory):
     """Chromium; without it the tests are skipped, or fail where real data and so a whole machine are required."""
     if missing_programs():
-        reason = (
-            f"{missing_programs()} not installed (Debian: apt-get install chromium chromium-driver)"
-        )
+        reason = f"{missing_programs()} not installed (Debian: apt-get install chromium chromium-driver)"
         if os.environ.get("FIDPIPE_REQUIRE_REAL_DATA") == "1":
             pytest.fail(f"FIDPIPE_REQUIRE_REAL_DATA=1 and {reason}")
         pytest.skip(reason)
@@ -97,7 +95,9 @@ def pixels(browser, name):
     )
     browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", place)
     settle(browser)
-    return np.asarray(Image.open(io.BytesIO(place.screenshot_as_png)).convert("RGB")).astype(int)
+    return np.asarray(Image.open(io.BytesIO(place.screenshot_as_png)).convert("RGB")).astype(
+        int
+    )
 
 
 def see_all(browser):
@@ -120,7 +120,9 @@ def complaints(browser):
 
 def requests(browser):
     """Addresses that the browser requested outside the page itself."""
-    events = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
+    events = [
+        json.loads(entry["message"])["message"] for entry in browser.get_log("performance")
+    ]
     asked = [
         event["params"]["request"]["url"]
         for event in events
@@ -266,7 +268,9 @@ def test_nothing_is_wider_than_the_window(page, width, dark):
     resize(page, width, dark)
     choose(page, "object", "real 0")
     assert page.execute_script("return document.documentElement.scrollWidth") <= width
-    colour = "return getComputedStyle(document.body).backgroundColor.match(/[0-9]+/g).map(Number)"
+    colour = (
+        "return getComputedStyle(document.body).backgroundColor.match(/[0-9]+/g).map(Number)"
+    )
     assert (sum(page.execute_script(colour)) < 200) == dark
     wait_for(
         page,
@@ -302,7 +306,9 @@ def test_hostile_names_are_shown_as_they_are_but_for_direction_marks(page):
     assert HOSTILE_CLASS in set(table(page, "objects_table")["class"])
     for pair in HOSTILE_PAIRS:
         choose(page, "pair", pair)
-    assert page.execute_script("return document.querySelectorAll('img, main script').length") == 0
+    assert (
+        page.execute_script("return document.querySelectorAll('img, main script').length") == 0
+    )
     assert "broken <b>pair</b>" in by_id(page, "failures").text
     assert complaints(page) == []
 
@@ -361,7 +367,9 @@ def test_a_comparison_draws_its_charts_in_the_theme_and_fits_the_window(
 
 
 @pytest.mark.exhaustive
-def test_an_address_shows_its_object_also_if_it_changes_and_says_what_is_not_there(page, page_path):
+def test_an_address_shows_its_object_also_if_it_changes_and_says_what_is_not_there(
+    page, page_path
+):
     def ask(ending):
         page.execute_script("location.hash = arguments[0]", ending)
         settle(page)
@@ -451,7 +459,8 @@ def test_an_unmatched_object_says_how_much_of_it_is_road(page, report_run):
 def test_the_scene_is_as_wide_as_the_page_and_the_panel_below_it(page):
     def place(name):
         return page.execute_script(
-            "return document.getElementById(arguments[0]).getBoundingClientRect().toJSON()", name
+            "return document.getElementById(arguments[0]).getBoundingClientRect().toJSON()",
+            name,
         )
 
     choose(page, "object", "real 0")
@@ -562,7 +571,9 @@ def test_the_scene_is_drawn_when_a_third_of_it_is_in_view(browser, page_path):
 
 
 @pytest.mark.exhaustive
-def test_pieces_are_a_layer_with_as_many_points_as_their_table_has(browser, by_reference, tmp_path):
+def test_pieces_are_a_layer_with_as_many_points_as_their_table_has(
+    browser, by_reference, tmp_path
+):
     resize(browser, WIDTHS[0])
     open_page(browser, write_report(by_reference, out=tmp_path).page)
     pair = by_id(browser, "pair").get_attribute("value")
@@ -573,9 +584,7 @@ def test_pieces_are_a_layer_with_as_many_points_as_their_table_has(browser, by_r
         assert len(drawn(browser, "scene", name)) == n
     assert pieces.n_points.sum() > 0
     turn_on(browser, "show_missing", False)
-    visible = (
-        "return document.getElementById('scene').data.find(({name}) => name === 'missing').visible"
-    )
+    visible = "return document.getElementById('scene').data.find(({name}) => name === 'missing').visible"
     assert browser.execute_script(visible) is False
 
 
@@ -588,7 +597,8 @@ def test_a_filter_is_one_text_that_a_row_contains(page):
         box.clear()
         box.send_keys(text)
         assert (
-            len(table(page, "objects_table")) == lines.str.contains(text.lower(), regex=False).sum()
+            len(table(page, "objects_table"))
+            == lines.str.contains(text.lower(), regex=False).sum()
         ), text
     note = page.find_element("css selector", "#objects_table .count").text
     assert note == f"0 of {len(everything)}"
@@ -663,7 +673,9 @@ def test_paper_is_light_and_shows_whole_tables_and_charts(page):
     assert printed["background"] == "rgb(255, 255, 255)"
     assert printed["blue"] > 200, "the blue of real points on white, not that on black"
     assert printed["widest"] - 1 <= printed["page"] <= 1048, "A4 across, less its margins"
-    sizes = {tuple(map(float, box.split())) for box in re.findall(rb"/MediaBox \[([\d. ]+)\]", pdf)}
+    sizes = {
+        tuple(map(float, box.split())) for box in re.findall(rb"/MediaBox \[([\d. ]+)\]", pdf)
+    }
     assert all(right > bottom for _, _, right, bottom in sizes), "all pages lie across"
     assert 4 < len(re.findall(rb"/Type /Page\b", pdf)) <= 12
     page.execute_cdp_cmd(

@@ -28,7 +28,10 @@ CASES = {
     "02a_each_twice": ("second returns of a ray", TWIN),
     "02c_once": ("", TWIN),
     "03_unity": ("read as x right, y up, z forward", set()),
-    "04_world": ("not in the sensor's frame", {"missing parts", "invented parts", "moved parts"}),
+    "04_world": (
+        "not in the sensor's frame",
+        {"missing parts", "invented parts", "moved parts"},
+    ),
     "07_ouster_count0": ("", TWIN),
     "08_veloview": ("", TWIN),
     "13a_av2_parquet": ("", TWIN),

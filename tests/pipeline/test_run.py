@@ -121,13 +121,18 @@ def test_from_makes_a_stage_and_those_after_it_again(again, dataset, stage):
     before = marks(again)
     outcome = run(dataset, again, from_stage=stage)
     redone = STAGE_NAMES[STAGE_NAMES.index(stage) :]
-    assert outcome.n_made == 3 * sum(len(stage.parts) for stage in STAGES if stage.name in redone)
+    assert outcome.n_made == 3 * sum(
+        len(stage.parts) for stage in STAGES if stage.name in redone
+    )
     assert changed_tables(again, before) - {"objects", "ray_scores"} == set(redone)
 
 
 def test_a_pattern_limits_the_work_and_keeps_the_rest(dataset, tmp_path):
     out = tmp_path / "run"
-    assert [row["pair_id"] for row in run(dataset, out, pattern="00[12]").rows] == ["001", "002"]
+    assert [row["pair_id"] for row in run(dataset, out, pattern="00[12]").rows] == [
+        "001",
+        "002",
+    ]
     assert [row["pair_id"] for row in run(dataset, out, pattern="000").rows] == [
         "000",
         "001",
@@ -209,7 +214,9 @@ def test_a_run_of_another_dataset_is_left_alone(again, tmp_path):
     assert marks(again) == before
 
 
-def test_road_peaks_that_differ_by_over_5_cm_are_noted_where_each_side_is_cut_at_its_own(tmp_path):
+def test_road_peaks_that_differ_by_over_5_cm_are_noted_where_each_side_is_cut_at_its_own(
+    tmp_path,
+):
     scan = street()
     write_pair(tmp_path / "data", scan, scan + [0, 0, 0.12])
     notes = {}
@@ -224,7 +231,8 @@ def test_road_peaks_that_differ_by_over_5_cm_are_noted_where_each_side_is_cut_at
     (note,) = notes["paper"]["a"]
     assert "11 cm above" in note
     assert any(
-        note in caution.words for caution in FinishedRun(tmp_path / "paper").record.overview.trust
+        note in caution.words
+        for caution in FinishedRun(tmp_path / "paper").record.overview.trust
     )
     assert note in command("show", tmp_path / "paper", "a").stdout.replace("\n", " ")
 

@@ -33,7 +33,10 @@ def fail(context):
 
 def extras(**makes):
     """The pipeline with all extras, some of them with another job."""
-    return (*STAGES, *(replace(stage, make=makes.get(stage.name, stage.make)) for stage in EXTRAS))
+    return (
+        *STAGES,
+        *(replace(stage, make=makes.get(stage.name, stage.make)) for stage in EXTRAS),
+    )
 
 
 @pytest.mark.parametrize(
@@ -81,7 +84,9 @@ def test_a_long_pair_is_made_job_by_job_and_object_by_object_so_that_progress_mo
     pool = WatchedPool(n_workers=n_workers)
     reporter, told = listening(seconds_between_lines=0.0)
     policy = {"WORTH_SPLITTING_S": 0.0, "LONG_PAIR": 0, "BATCH_S": 0.0}
-    assert not run(dataset, tmp_path / "run", pool=pool, policy=policy, reporter=reporter).failures
+    assert not run(
+        dataset, tmp_path / "run", pool=pool, policy=policy, reporter=reporter
+    ).failures
     jobs_of_sides = [
         len(jobs) for jobs in pool.batches if jobs[0][1] in ("ground", "graph", "communities")
     ]
@@ -130,7 +135,9 @@ def test_what_a_dying_worker_leaves_is_made_job_by_job_with_nothing_next_to_it(
     assert_same_tables(tmp_path / "run", finished)
 
 
-def test_a_job_that_loses_its_worker_alone_too_fails_its_pair_alone(dataset, finished, tmp_path):
+def test_a_job_that_loses_its_worker_alone_too_fails_its_pair_alone(
+    dataset, finished, tmp_path
+):
     pool = DyingPool(lambda jobs, name: ("001", "matching", "") in jobs)
     outcome = run(dataset, tmp_path / "run", pool=pool)
     assert list(outcome.failures) == ["001"]
@@ -154,7 +161,9 @@ def test_an_extra_that_loses_its_worker_alone_too_fails_alone(dataset, finished,
     assert_same_tables(tmp_path / "run", finished)
 
 
-def test_pairs_fall_into_batches_by_side_and_object_and_give_the_same(dataset, finished, tmp_path):
+def test_pairs_fall_into_batches_by_side_and_object_and_give_the_same(
+    dataset, finished, tmp_path
+):
     pool = WatchedPool()
     policy = {"WORTH_SPLITTING_S": 0.0, "BATCH_S": 0.0}
     assert not run(dataset, tmp_path / "run", pool=pool, policy=policy).failures

@@ -55,7 +55,13 @@ def test_a_gate_tests_every_property_of_both_sensors(finished):
     pairs = pd.read_parquet(finished / "pairs.parquet")
     measures = Measures(FinishedRun(finished))
     for side in ("real", "sim"):
-        for name in ("beams", "azimuth_step_deg", "range_quantum_m", "range_noise_m", "lost_share"):
+        for name in (
+            "beams",
+            "azimuth_step_deg",
+            "range_quantum_m",
+            "range_noise_m",
+            "lost_share",
+        ):
             expected = pairs[f"sensor_{side}_{name}"].mean()
             assert measures.named(f"sensor.{side}.{name}.mean") == (expected, "")
     command(

@@ -28,7 +28,11 @@ def tum(path, poses):
         " ".join(
             map(
                 repr,
-                [0.1 * i, *T[:, 3].tolist(), *Rotation.from_matrix(T[:, :3]).as_quat().tolist()],
+                [
+                    0.1 * i,
+                    *T[:, 3].tolist(),
+                    *Rotation.from_matrix(T[:, :3]).as_quat().tolist(),
+                ],
             )
         )
         for i, T in enumerate(poses)
@@ -58,7 +62,9 @@ def test_tum_poses_are_those_of_the_sensor(tmp_path):
     tum(scans(tmp_path) / "poses.tum", motions())
     recording = read_recording(tmp_path)
     assert [frame.pair_id for frame in recording.pairs] == ["000", "001", "002", "003"]
-    assert [frame.timestamp_s for frame in recording.pairs] == pytest.approx([0.0, 0.1, 0.2, 0.3])
+    assert [frame.timestamp_s for frame in recording.pairs] == pytest.approx(
+        [0.0, 0.1, 0.2, 0.3]
+    )
     for frame, T in zip(recording.pairs, motions(), strict=True):
         np.testing.assert_allclose(motion_of(frame), T, atol=1e-12)
 
@@ -168,7 +174,8 @@ def test_two_scans_of_one_name_are_refused(tmp_path):
         write_bin(tmp_path / folder / "scan.bin", street(n=20))
     T = "1 0 0 0 0 1 0 0 0 0 1 0"
     (tmp_path / "pairs.csv").write_text(
-        "pair_id,real,T_world_sensor\n" + "".join(f"{name},{name}/scan.bin,{T}\n" for name in "abc")
+        "pair_id,real,T_world_sensor\n"
+        + "".join(f"{name},{name}/scan.bin,{T}\n" for name in "abc")
     )
     with pytest.raises(DatasetError, match="3 scans are called scan"):
         read_recording(tmp_path)

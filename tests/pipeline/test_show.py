@@ -26,7 +26,9 @@ def shown(*words):
 
 @pytest.mark.parametrize("name", HOSTILE_PAIRS)
 def test_json_holds_the_numbers_of_the_tables_whatever_the_pair_is_called(report_run, name):
-    metrics = pd.read_parquet(report_run / "metrics").query("pair_id == @name").set_index("real_id")
+    metrics = (
+        pd.read_parquet(report_run / "metrics").query("pair_id == @name").set_index("real_id")
+    )
     found = json.loads(shown(report_run, name, "--json"))
     assert found["pair"]["pair_id"] == name
     of_both = [of for of in found["objects"] if of["real"] and of["real"]["fate"] == "matched"]
@@ -45,7 +47,9 @@ def test_the_terminal_shows_any_name_as_it_is(report_run, name):
     assert "Pairs, worst first (means over matched objects)" in everything
     assert "Dataset (mean and standard deviation" in everything
     for words in ([report_run, name], [report_run, name, "0"]):
-        assert name.replace(" ", "").replace("\u202e", "\\u202e") in "".join(shown(*words).split())
+        assert name.replace(" ", "").replace("\u202e", "\\u202e") in "".join(
+            shown(*words).split()
+        )
 
 
 def test_every_object_of_either_side_stands_in_its_pair_once(report_run):

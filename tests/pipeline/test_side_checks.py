@@ -47,7 +47,9 @@ def write(folder, real, sim, turn=((1, 0, 0), (0, 1, 0), (0, 0, 1))):
             row[side] = f"{side}{i}.npy"
             is_table = isinstance(points, pd.DataFrame)
             table = (
-                points if is_table else pd.DataFrame(points @ np.array(turn), columns=list("xyz"))
+                points
+                if is_table
+                else pd.DataFrame(points @ np.array(turn), columns=list("xyz"))
             )
             np.save(folder / row[side], table.to_records(index=False))
         rows.append(row)
@@ -94,7 +96,10 @@ def test_an_empty_side_is_named_beside_the_faults_of_its_scans(tmp_path):
 
 @pytest.mark.parametrize(
     ("frame", "turn"),
-    [("ros", ((1, 0, 0), (0, 1, 0), (0, 0, 1))), ("nuscenes", ((0, 1, 0), (-1, 0, 0), (0, 0, 1)))],
+    [
+        ("ros", ((1, 0, 0), (0, 1, 0), (0, 0, 1))),
+        ("nuscenes", ((0, 1, 0), (-1, 0, 0), (0, 0, 1))),
+    ],
 )
 def test_ego_hits_are_named_with_settings_that_drop_them(tmp_path, frame, turn):
     bonnet = box([3.2, 0, -0.9], [1, 1.6, 0.3], 600)
@@ -125,10 +130,14 @@ def test_the_command_prints_notes_and_warnings_of_sides(tmp_path):
     assert told["warnings"] == []
 
 
-def test_the_times_of_a_recorded_scan_are_those_of_a_revolution(real_data, tmp_path, monkeypatch):
+def test_the_times_of_a_recorded_scan_are_those_of_a_revolution(
+    real_data, tmp_path, monkeypatch
+):
     monkeypatch.undo()
     bag = real_data / "velodyne_vlp32c/rosbag1.bag"
-    (tmp_path / "pairs.csv").write_text(f"pair_id,real,sim\na,{bag}#0,{bag}#1\nb,{bag}#1,{bag}#2\n")
+    (tmp_path / "pairs.csv").write_text(
+        f"pair_id,real,sim\na,{bag}#0,{bag}#1\nb,{bag}#1,{bag}#2\n"
+    )
     check = check_dataset(tmp_path, load())
     ends = "s from first to last point"
     assert check.notes == [f"real scans: 0.101 {ends}", f"simulated scans: 0.1 {ends}"]

@@ -137,7 +137,10 @@ def test_a_stage_of_the_sides_may_read_what_a_stage_of_the_pair_gives(dataset, t
         return JobResult({"toy_crowds": toys.CROWDS.build(rows)})
 
     late = replace(OF_SIDE, takes=("matching",), settings=(), make=make)
-    for out, options in (("whole", {}), ("split", {"pool": WatchedPool(), "policy": ALL_SPLIT})):
+    for out, options in (
+        ("whole", {}),
+        ("split", {"pool": WatchedPool(), "policy": ALL_SPLIT}),
+    ):
         outcome = run(dataset, tmp_path / out, stages=(*STAGES, late), **options)
         n_over = (
             pq.read_table(tmp_path / out / "toy_crowds" / "000.sim.parquet")
@@ -165,15 +168,17 @@ def test_a_job_has_no_input_but_what_its_stage_declares(dataset, tmp_path, ask, 
         return OF_SIDE.make(inputs)
 
     stages = (*STAGES[: toys.N_BEFORE_MATCHING], replace(OF_SIDE, make=make))
-    reason = run(dataset, tmp_path / "run", ToySettings(), stages=stages, pattern="000").failures[
-        "000"
-    ]
+    reason = run(
+        dataset, tmp_path / "run", ToySettings(), stages=stages, pattern="000"
+    ).failures["000"]
     assert "stage crowds, real: internal error" in reason
     assert missing in reason
 
 
 def failure_of(stage, dataset, out, stages=()):
-    return run(dataset, out, ToySettings(), stages=(*stages, stage), pattern="000").failures["000"]
+    return run(dataset, out, ToySettings(), stages=(*stages, stage), pattern="000").failures[
+        "000"
+    ]
 
 
 def test_the_real_side_gets_no_motion_of_the_simulated_one(dataset, tmp_path):
@@ -198,7 +203,9 @@ def test_the_real_side_gets_no_motion_of_the_simulated_one(dataset, tmp_path):
 
 def test_a_stage_that_reads_the_input_declares_the_settings_of_its_columns(dataset, tmp_path):
     with pytest.raises(ValueError, match="stage crowds: .*settings input"):
-        run_with_toys(dataset, tmp_path / "run", stages=with_toys(replace(OF_SIDE, takes=(SCAN,))))
+        run_with_toys(
+            dataset, tmp_path / "run", stages=with_toys(replace(OF_SIDE, takes=(SCAN,)))
+        )
 
 
 @pytest.mark.parametrize("is_split", [False, True], ids=["whole", "split"])
@@ -209,7 +216,9 @@ def test_no_object_depends_on_which_others_are_scored_beside_it(dataset, tmp_pat
 
     stages = with_toys(of_object=replace(OF_OBJECT, make=make))
     options = {"policy": ALL_SPLIT, "pool": WatchedPool()} if is_split else {}
-    outcome = run(dataset, tmp_path / "run", ToySettings(), stages=stages, pattern="000", **options)
+    outcome = run(
+        dataset, tmp_path / "run", ToySettings(), stages=stages, pattern="000", **options
+    )
     assert "KeyError: ('metrics', '')" in outcome.failures["000"]
 
 
@@ -233,7 +242,9 @@ def test_a_stage_that_gives_other_tables_than_it_declares_fails(dataset, tmp_pat
     assert "stage crowds: " in reason
 
 
-def test_a_stage_that_takes_what_none_before_it_gives_is_refused_before_any_work(dataset, tmp_path):
+def test_a_stage_that_takes_what_none_before_it_gives_is_refused_before_any_work(
+    dataset, tmp_path
+):
     with pytest.raises(ValueError, match="stage ratios takes matching, selection"):
         run(
             dataset,
@@ -268,6 +279,6 @@ def test_stages_by_any_other_name_give_the_same_tables(whole, dataset, tmp_path,
     outcome = run_with_toys(dataset, tmp_path / "run", stages=renamed, **options)
     assert {row["status"] for row in outcome.rows} == {"scored"}
     assert_same_tables(tmp_path / "run", whole)
-    assert set(pq.read_table(tmp_path / "run" / "timings.parquet").column("stage").to_pylist()) == {
-        stage.name for stage in renamed
-    }
+    assert set(
+        pq.read_table(tmp_path / "run" / "timings.parquet").column("stage").to_pylist()
+    ) == {stage.name for stage in renamed}

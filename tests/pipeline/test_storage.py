@@ -28,7 +28,9 @@ def communities(n=5):
 
 
 def objects():
-    numbers = {field.name: 1.0 for field in TABLES["objects"].schema if field.type == pa.float64()}
+    numbers = {
+        field.name: 1.0 for field in TABLES["objects"].schema if field.type == pa.float64()
+    }
     return TABLES["objects"].from_rows(
         [
             {"pair_id": "a", "side": "real", "community_id": 0, "n_points": 5, "label": "car"}
@@ -71,7 +73,9 @@ def test_a_table_of_thousands_of_long_texts_is_read(tmp_path, table):
             "seconds": 0.1,
             "reused": False,
         }
-        return [step | {"pair_id": name, "step": f"step {k}"} for name in some for k in range(10)]
+        return [
+            step | {"pair_id": name, "step": f"step {k}"} for name in some for k in range(10)
+        ]
 
     parts = (
         table.from_rows(rows(names[start : start + 500])) for start in range(0, len(names), 500)
@@ -116,13 +120,20 @@ def test_a_job_of_a_former_run_writes_nothing(tmp_path):
     former = RunFolder(tmp_path)
     with former.locked():
         pass
-    with RunFolder(tmp_path).locked(), pytest.raises(RunError, match="another run has taken over"):
+    with (
+        RunFolder(tmp_path).locked(),
+        pytest.raises(RunError, match="another run has taken over"),
+    ):
         write(former)
     assert not (tmp_path / "communities").exists()
 
 
 def test_strays_are_removed_and_others_are_left_alone(written, tmp_path):
-    for name in ("communities/b.real.parquet", "communities/.a.real.parquet.0123abcd", "notes.txt"):
+    for name in (
+        "communities/b.real.parquet",
+        "communities/.a.real.parquet.0123abcd",
+        "notes.txt",
+    ):
         (tmp_path / name).touch()
     with written.locked():
         assert written.remove_strays() == 1  # half-written ones are not worth a word

@@ -25,7 +25,16 @@ DOCUMENTATION = Path(__file__).resolve().parents[2] / "docs" / "twin.md"
 N = 4
 NAMES = [f"{i:03}" for i in range(N)]
 SMALL = SensorModel(
-    "small", tuple(np.linspace(-25, 12, 30)), (0.0,) * 30, 1.5, 0.5, 100.0, 0.02, 0.0, 0.03, 60.0
+    "small",
+    tuple(np.linspace(-25, 12, 30)),
+    (0.0,) * 30,
+    1.5,
+    0.5,
+    100.0,
+    0.02,
+    0.0,
+    0.03,
+    60.0,
 )
 ALONE = np.array([5.0, -4.0, -0.5])  # where a box stands in frame 2 and in no other
 
@@ -72,7 +81,10 @@ def drive(tmp_path_factory):
 
 def make(out, drive, *flaws, **options):
     """Make twins of the drive, with flaws as text."""
-    request = {"pattern": options.pop("pattern", None), "replace": options.pop("replace", False)}
+    request = {
+        "pattern": options.pop("pattern", None),
+        "replace": options.pop("replace", False),
+    }
     request["workers"] = options.pop("workers", 1)
     recipe = twin.TwinRecipe(**{"sensor": SMALL, "flaws": parse_flaws(flaws), **options})
     return twin.make_twins(read_recording(drive), out, QUIET, recipe, **request)
@@ -138,7 +150,9 @@ def test_the_dataset_names_times_poses_labels_and_the_recipe(twins, drive):
     assert len(read_recording(twins).pairs) == N  # and it is a recording itself
 
 
-def test_the_same_recipe_gives_the_same_bytes_and_another_seed_gives_others(twins, drive, tmp_path):
+def test_the_same_recipe_gives_the_same_bytes_and_another_seed_gives_others(
+    twins, drive, tmp_path
+):
     make(tmp_path / "again", drive)
     assert files_in(tmp_path / "again") == files_in(twins)
     make(tmp_path / "other", drive, seed=1)
@@ -210,7 +224,9 @@ def test_flaws_are_those_of_the_functions_and_alike_in_all_frames_where_they_are
     shifts = []
     for name in NAMES:
         plain = sim(twins, name)
-        np.testing.assert_allclose(sim(tmp_path / "mirrored", name), plain * [1, -1, 1], atol=1e-6)
+        np.testing.assert_allclose(
+            sim(tmp_path / "mirrored", name), plain * [1, -1, 1], atol=1e-6
+        )
         shift = sim(tmp_path / "offset", name) - plain
         assert np.ptp(shift, axis=0).max() < 1e-5
         shifts.append(shift[0])

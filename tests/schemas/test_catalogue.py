@@ -80,7 +80,9 @@ def test_the_baselines_that_are_computed_are_those_of_the_catalogue_and_identica
         own.points, own.points, MetricsSettings(baselines=BASELINE_NAMES), nodes=chosen
     )
     assert [(each.name, each.unit) for each in found] == [
-        (name, METRIC[name].unit) for name in scores_of("baseline") if METRIC[name].method != "nvs"
+        (name, METRIC[name].unit)
+        for name in scores_of("baseline")
+        if METRIC[name].method != "nvs"
     ]
     for each in found:
         if each.value is not None:

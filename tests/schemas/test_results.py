@@ -23,9 +23,9 @@ def test_a_record_without_findings_keeps_a_null(record):
 
 
 def test_what_a_later_version_adds_is_passed_on(record):
-    assert RunRecord.model_validate(record | {"weather": {"rain": 0.5}}).as_dict()["weather"] == {
-        "rain": 0.5
-    }
+    assert RunRecord.model_validate(record | {"weather": {"rain": 0.5}}).as_dict()[
+        "weather"
+    ] == {"rain": 0.5}
 
 
 @pytest.mark.parametrize("key", ["summary", "findings", "inputs", "libraries"])

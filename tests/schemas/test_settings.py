@@ -14,7 +14,10 @@ def test_words_win_over_the_file_and_the_file_over_the_defaults(tmp_path):
         0.3,
         "optimal",
     )
-    assert (settings.ground.method, settings.input.exclude_box) == ("none", (-1, -1, -1, 1, 1, 1))
+    assert (settings.ground.method, settings.input.exclude_box) == (
+        "none",
+        (-1, -1, -1, 1, 1, 1),
+    )
     assert settings.input.include_box == (-9, -9, -1, 9, 9, 1)
 
 

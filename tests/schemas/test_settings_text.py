@@ -105,7 +105,9 @@ def test_the_schema_takes_what_load_takes(text, tmp_path, validator):
 def test_the_command_prints_what_its_options_say(tmp_path):
     printed = command("settings", "--preset", "reference", "--set", "graph.k=60", code=0)
     assert read_back(printed.stdout, tmp_path) == load(None, ["graph.k=60"], preset="reference")
-    changed = command("settings", "--settings", tmp_path / "settings.toml", "--set", "graph.k=61")
+    changed = command(
+        "settings", "--settings", tmp_path / "settings.toml", "--set", "graph.k=61"
+    )
     assert read_back(changed.stdout, tmp_path).graph.k == 61
     assert json.loads(command("settings", "--json-schema").stdout) == json_schema()
 

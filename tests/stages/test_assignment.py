@@ -100,7 +100,9 @@ def test_what_the_prices_do_not_prove_is_refused(monkeypatch, rng, shape, spoil)
 def test_the_bound_of_the_literal_oracle_is_the_least_total(rng, n):
     cost = cdist(rng.normal(0, 1, (n, 3)), rng.normal(0.5, 1, (n, 3)))
     rows, columns = linear_sum_assignment(cost)
-    assert literal_method.least_total(cost) == pytest.approx(cost[rows, columns].sum(), rel=1e-12)
+    assert literal_method.least_total(cost) == pytest.approx(
+        cost[rows, columns].sum(), rel=1e-12
+    )
 
 
 def test_coordinates_of_utm_size_cost_no_more_rounds(monkeypatch, rng):

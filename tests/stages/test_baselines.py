@@ -51,7 +51,10 @@ def car():
 
 def test_histograms_by_hand():
     # distances 1, 1, 2 against 1: shares of the lower and the upper half of the range
-    three, two = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]), np.array([[0.0, 0, 0], [7, 0, 0]])
+    three, two = (
+        np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]),
+        np.array([[0.0, 0, 0], [7, 0, 0]]),
+    )
     assert value(histogram, three, two, histogram_bins=2, histogram_order=1) == pytest.approx(
         0
     )  # 1/2 lies in the upper half
@@ -103,7 +106,9 @@ def test_unequal_sizes_are_said_where_dcd_was_cut(car):
 def test_what_cannot_be_computed_is_null_with_its_reason():
     two = np.array([[0.0, 0, 0], [0, 0, 1]])
     values = compare(two, two[:1])
-    reasons = {name: baseline.reason for name, baseline in values.items() if baseline.value is None}
+    reasons = {
+        name: baseline.reason for name, baseline in values.items() if baseline.value is None
+    }
     assert reasons.keys() == {"histogram"}
     assert all(reasons.values())
     single = compare(two[:1], two)

@@ -47,7 +47,9 @@ def lost_grazing(points, rng):
     is_grazing = (
         np.abs((normal * points).sum(axis=1)) < np.cos(np.radians(75)) * ranges(points)[:, 0]
     )
-    is_lost = is_grazing & (is_road | (planes.scattering < 0.1)) & (rng.random(len(points)) < 0.5)
+    is_lost = (
+        is_grazing & (is_road | (planes.scattering < 0.1)) & (rng.random(len(points)) < 0.5)
+    )
     return points[~is_lost]
 
 
@@ -298,7 +300,9 @@ def test_a_change_of_the_pose_is_measured_between_two_simulated_scans(places):
     _, amounts = estimate_between(base, moved)
     assert amounts["height"] == pytest.approx(0.03, abs=0.01)
     assert amounts["roll"] == pytest.approx(0.0, abs=0.02)
-    doubtful = replace(moved.sensor, doubts={POSITION: "the points are not in the sensor's frame"})
+    doubtful = replace(
+        moved.sensor, doubts={POSITION: "the points are not in the sensor's frame"}
+    )
     _, amounts = estimate_between(base, replace(moved, sensor=doubtful))
     assert "height" not in amounts and "road height" in amounts
 
@@ -307,7 +311,11 @@ def seen_along(beams_deg, origin_m, objects_deg):
     """A side of a sensor with these beams, and objects 10 m away at other elevations."""
     sensor = SensorDescription(len(beams_deg), tuple(beams_deg), origin_height_m=(origin_m,))
     up = np.radians(objects_deg)
-    points = 10 * np.column_stack([np.cos(up), np.zeros(len(up)), np.sin(up)]) + [0, 0, origin_m]
+    points = 10 * np.column_stack([np.cos(up), np.zeros(len(up)), np.sin(up)]) + [
+        0,
+        0,
+        origin_m,
+    ]
     return Side(points, np.zeros(len(points), bool), sensor)
 
 
@@ -358,7 +366,9 @@ def test_an_object_next_to_a_missing_one_is_moved_but_not_the_road_behind_it():
 def test_a_loss_is_corrected_by_as_many_returns(places):
     real, is_ground, sensor = places[0]
     is_kept = np.random.default_rng(0).random(len(real)) < 0.6
-    pair = PairScans(Side(real, is_ground, sensor), Side(real[is_kept], is_ground[is_kept], sensor))
+    pair = PairScans(
+        Side(real, is_ground, sensor), Side(real[is_kept], is_ground[is_kept], sensor)
+    )
     own = estimate(pair)
     amount = own.amounts["lost returns"].amount
     assert amount == pytest.approx(0.4, abs=0.02)

@@ -225,7 +225,9 @@ def test_a_density_of_zero_empties_regions_that_hold_three_tenths_of_the_points(
 
 
 def test_a_higher_density_adds_points_on_the_surface(rng):
-    wall = np.column_stack([rng.uniform(0, 8, 1000), np.full(1000, 3.0), rng.uniform(0, 3, 1000)])
+    wall = np.column_stack(
+        [rng.uniform(0, 8, 1000), np.full(1000, 3.0), rng.uniform(0, 3, 1000)]
+    )
     denser = perturb(wall, Perturbation("density", 4.0), seeded())
     np.testing.assert_array_equal(denser[:1000], wall)
     assert len(denser) == 1000 + 3 * 300
@@ -258,7 +260,9 @@ def test_a_second_measurement_moves_points_along_their_rays_alone(cube):
     again, rows = remeasure(away, 0.03, 0.0, seeded())
     ranges = [np.linalg.norm(points, axis=1) for points in (away, again)]
     np.testing.assert_array_equal(rows, np.arange(len(cube)))
-    np.testing.assert_allclose(again / ranges[1][:, None], away / ranges[0][:, None], atol=1e-12)
+    np.testing.assert_allclose(
+        again / ranges[1][:, None], away / ranges[0][:, None], atol=1e-12
+    )
     assert (ranges[1] - ranges[0]).std() == pytest.approx(0.03, rel=0.05)
 
 

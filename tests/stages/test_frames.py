@@ -200,7 +200,9 @@ def test_what_is_not_finite_is_left_out_and_too_little_is_not_judged():
 def test_only_what_is_inside_the_box_is_compared():
     beyond = np.vstack([again(scene()), box([-15, 15, 5], [6, 6, 6], 4000)])
     low = (-20, -20, -3, 20, 11, 6)
-    assert check(scene(), beyond, include_box=low).as_it_lies > check(scene(), beyond).as_it_lies
+    assert (
+        check(scene(), beyond, include_box=low).as_it_lies > check(scene(), beyond).as_it_lies
+    )
 
 
 def test_ground_is_where_most_of_a_thinned_scan_lies():
@@ -256,7 +258,9 @@ def test_a_side_that_is_late_or_early_is_found_with_its_frames(sides, late):
 
 def test_sides_of_one_time_are_not_late(sides):
     assert find_time_offset([sides]) is None
-    assert find_time_offset([(sides[0][:2], sides[1][:2]), (sides[0][3:5], sides[1][3:5])]) is None
+    assert (
+        find_time_offset([(sides[0][:2], sides[1][:2]), (sides[0][3:5], sides[1][3:5])]) is None
+    )
 
 
 def test_a_sensor_that_stands_still_is_never_late():
@@ -266,7 +270,9 @@ def test_a_sensor_that_stands_still_is_never_late():
 
 
 def test_places_that_have_nothing_in_common_are_not_late():
-    other = [SequenceScan(points @ np.diag([-1.0, 1, 1])) for points in drive(step_m=7.0, seed=3)]
+    other = [
+        SequenceScan(points @ np.diag([-1.0, 1, 1])) for points in drive(step_m=7.0, seed=3)
+    ]
     assert find_time_offset([(places(drive()), other)]) is None
 
 
@@ -276,7 +282,9 @@ def test_a_side_that_is_one_scan_again_and_again_is_static(sides, noise_m):
     moving = moved_m([sides[0]])
     assert is_moving(moving) and not is_moving(still)
     assert is_static(still, moving)
-    assert not (is_static(moving, still) or is_static(moving, moving) or is_static(still, still))
+    assert not (
+        is_static(moving, still) or is_static(moving, moving) or is_static(still, still)
+    )
 
 
 def test_a_slow_side_is_not_static(sides):

@@ -58,7 +58,9 @@ def test_a_crowd_is_only_one_where_its_pairs_are_joined(rng):
 @pytest.mark.parametrize("edges", ["union", "intersection"])
 @pytest.mark.parametrize("ties", ["point_id", "coordinates"])
 def test_tiles_change_no_edge(rng, monkeypatch, edges, ties):
-    points = np.round(rng.uniform(0, 1, (400, 3)) * [6, 1, 1], 1)  # with ties and repeated points
+    points = np.round(
+        rng.uniform(0, 1, (400, 3)) * [6, 1, 1], 1
+    )  # with ties and repeated points
     settings = GraphSettings(k=5, tau_m=0.3, edges=edges, ties=ties)
     whole = build_graph(points, settings)
     monkeypatch.setattr(graph, "_TILE_POINTS", 37)
@@ -105,7 +107,9 @@ def test_the_reference_backend_is_python_louvain_itself(three_boxes):
     )
     G = nx.Graph()
     G.add_nodes_from(range(len(points)))
-    G.add_weighted_edges_from((i, j, float(length)) for (i, j), length in as_dict(edges).items())
+    G.add_weighted_edges_from(
+        (i, j, float(length)) for (i, j), length in as_dict(edges).items()
+    )
     found = python_louvain.best_partition(G, random_state=3)
     np.testing.assert_array_equal(
         labels, literal_method.canonical([found[i] for i in range(len(points))])
@@ -134,7 +138,12 @@ def test_an_isolated_node_is_a_community_of_its_own(backend):
     edges = Edges(
         np.array([0, 0, 1], np.int32), np.array([1, 2, 2], np.int32), np.ones(3, np.float32)
     )
-    assert find_communities(4, edges, CommunitySettings(backend=backend)).tolist() == [0, 0, 0, 1]
+    assert find_communities(4, edges, CommunitySettings(backend=backend)).tolist() == [
+        0,
+        0,
+        0,
+        1,
+    ]
 
 
 def test_the_majority_names_an_object_and_the_alphabet_breaks_ties():

@@ -14,7 +14,16 @@ from scenes import drifted, street, write_pair
 
 SIDES = ("real", "sim")
 OF_SIDES = ("ground", "sensor", "graph", "communities", "objects")
-OF_PAIRS = ("matching", "coverage", "surface", "pieces", "rays", "causes", "selection", "metrics")
+OF_PAIRS = (
+    "matching",
+    "coverage",
+    "surface",
+    "pieces",
+    "rays",
+    "causes",
+    "selection",
+    "metrics",
+)
 
 
 def read_tables(folder, pair_id):
@@ -36,7 +45,9 @@ def scans():
     return real, drifted(real, seed=4)
 
 
-@pytest.mark.filterwarnings("ignore:the simulated scan covers")  # one of the settings mirrors it
+@pytest.mark.filterwarnings(
+    "ignore:the simulated scan covers"
+)  # one of the settings mirrors it
 @pytest.mark.parametrize(
     "words",
     [
@@ -63,7 +74,9 @@ def test_a_small_scene_has_the_tables_of_the_command(scans, words, tmp_path):
     for (name, side), expected in read_tables(tmp_path / "run", "a").items():
         found = getattr(result, fields.get(name, name))
         columns = [
-            c for c in expected.columns if c not in ("pair_id", "intensity", "label", "instance")
+            c
+            for c in expected.columns
+            if c not in ("pair_id", "intensity", "label", "instance")
         ]
         frames = (
             own[columns].reset_index(drop=True)

@@ -118,7 +118,9 @@ def test_a_band_of_uneven_width_has_the_same_eigenvalues(rng, half):
     n = len(reach)
     row, column = np.indices((n, n))
     dense = np.where(
-        np.abs(row - column) <= np.minimum(reach[row], reach[column]), rng.normal(0, 1, (n, n)), 0
+        np.abs(row - column) <= np.minimum(reach[row], reach[column]),
+        rng.normal(0, 1, (n, n)),
+        0,
     )
     dense += dense.T
     np.testing.assert_allclose(
@@ -157,7 +159,9 @@ def test_the_norm_of_nothing_is_zero():
 
 def test_two_extremes_of_nearly_the_same_size_do_not_confuse_the_norm(rng):
     diagonal = np.concatenate([[-1.0000001, 1.0], rng.uniform(-0.99, 0.99, 300)])
-    assert spectral_norm(sparse.diags_array(diagonal).tocsr()) == pytest.approx(1.0000001, rel=1e-9)
+    assert spectral_norm(sparse.diags_array(diagonal).tocsr()) == pytest.approx(
+        1.0000001, rel=1e-9
+    )
 
 
 # Both ways are backward stable: each finds the exact eigenvalues of a matrix within some eps |A|_2 of the given one,
@@ -208,7 +212,10 @@ HARD = {
     ),
     "a star": lambda rng, n: normalised_laplacian(
         sparse.csr_matrix(
-            (np.ones(2 * n - 2), ([0] * (n - 1) + [*range(1, n)], [*range(1, n)] + [0] * (n - 1)))
+            (
+                np.ones(2 * n - 2),
+                ([0] * (n - 1) + [*range(1, n)], [*range(1, n)] + [0] * (n - 1)),
+            )
         )
     ),
     "one eigenvalue and rounding": lambda rng, n: rotated(rng, 1 + EPS * rng.normal(0, 1, n)),
@@ -219,7 +226,9 @@ HARD = {
     "Wilkinson's": lambda rng, n: wilkinson(n),
     "half of the nodes alone": lambda rng, n: sparse.block_diag(
         [
-            normalised_laplacian(weighted(rng, n // 2, 8, lambda size: rng.uniform(0.1, 1, size))),
+            normalised_laplacian(
+                weighted(rng, n // 2, 8, lambda size: rng.uniform(0.1, 1, size))
+            ),
             sparse.csr_matrix((n // 2, n // 2)),
         ],
         format="csr",

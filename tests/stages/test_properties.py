@@ -17,7 +17,8 @@ from fidpipe.stages.selection import select_nodes
 from runs import some_of
 
 SCALES = tuple(
-    10.0**e for e in (-310, -200, -162, -155, -60, -45, -40, -20, -8, -3, 0, 0, 0, 0, 1, 3, 6, 8)
+    10.0**e
+    for e in (-310, -200, -162, -155, -60, -45, -40, -20, -8, -3, 0, 0, 0, 0, 1, 3, 6, 8)
 )
 EVERYTHING = KEEP_ALL | {"metrics": {"baselines": "all"}, "stability": {"seeds": 2}}
 REFERENCE = {"preset": "reference"}
@@ -51,11 +52,17 @@ def clouds(draw, fewest=1, most=60, scales=SCALES):
     pool = np.array(draw(st.lists(values, min_size=3, max_size=8, unique=True)))
     points = pool[
         np.array(
-            draw(st.lists(st.tuples(*[st.integers(0, len(pool) - 1)] * 3), min_size=n, max_size=n))
+            draw(
+                st.lists(
+                    st.tuples(*[st.integers(0, len(pool) - 1)] * 3), min_size=n, max_size=n
+                )
+            )
         )
     ]
     shape = draw(
-        st.sampled_from(("as it is", "line", "plane", "jitter", "two scales", "next to each other"))
+        st.sampled_from(
+            ("as it is", "line", "plane", "jitter", "two scales", "next to each other")
+        )
     )
     if shape == "line":
         points = np.outer(np.arange(n), points[0])
@@ -69,7 +76,9 @@ def clouds(draw, fewest=1, most=60, scales=SCALES):
         points[::2] *= draw(st.sampled_from(scales))
     elif shape == "next to each other":
         points = np.nextafter(points, np.arange(n)[:, None] % 3 - 1.0)
-    return points * draw(st.sampled_from(scales)) + draw(st.sampled_from((0.0, 0.0, 5.0, 1e3, 1e6)))
+    return points * draw(st.sampled_from(scales)) + draw(
+        st.sampled_from((0.0, 0.0, 5.0, 1e3, 1e6))
+    )
 
 
 def distinct(points, fewest=8):
@@ -132,7 +141,10 @@ def test_the_scores_of_an_object_are_the_same_both_ways(real, sim):
     sim = graph_of(distinct(sim), load().graph)
     selection = select_nodes(real, sim, load().selection)
     back = type(selection)(
-        selection.sim_nodes, selection.real_nodes, selection.sim_influence, selection.real_influence
+        selection.sim_nodes,
+        selection.real_nodes,
+        selection.sim_influence,
+        selection.real_influence,
     )
     forth, back = score_object(real, sim, selection), score_object(sim, real, back)
     for name in (
@@ -143,5 +155,7 @@ def test_the_scores_of_an_object_are_the_same_both_ways(real, sim):
         "max_eigenvalue_shift",
         "laplacian_change",
     ):
-        assert getattr(forth, name) == pytest.approx(getattr(back, name), rel=1e-6, abs=1e-9), name
+        assert getattr(forth, name) == pytest.approx(getattr(back, name), rel=1e-6, abs=1e-9), (
+            name
+        )
     assert forth.status == back.status

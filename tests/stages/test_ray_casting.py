@@ -112,7 +112,9 @@ def test_ranges_are_multiples_of_the_quantum_with_three_centimetres_of_noise():
 
 def test_dropout_grows_with_range():
     range_m = np.arange(1.0, 200.0)
-    kept = return_probability(VLP32C, range_m, np.ones_like(range_m), np.full_like(range_m, 0.3))
+    kept = return_probability(
+        VLP32C, range_m, np.ones_like(range_m), np.full_like(range_m, 0.3)
+    )
     assert (np.diff(kept) <= 0).all()
     assert kept[9] > 0.95 > 0.5 > kept[99] > 0.01
 
@@ -207,7 +209,9 @@ def test_noise_and_losses_are_those_of_the_sensor():
     assert (
         len(
             scan(
-                points, directions, SensorModel("near", (), (), 0.2, 0.5, 5.0, 0.0, 0.0, 0.0, 60.0)
+                points,
+                directions,
+                SensorModel("near", (), (), 0.2, 0.5, 5.0, 0.0, 0.0, 0.0, 60.0),
             )
         )
         == 0

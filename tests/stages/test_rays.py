@@ -102,7 +102,9 @@ def test_columns_that_lie_between_those_of_the_real_sensor_change_no_range_of_a_
 
 @pytest.mark.parametrize("step_deg", [0.2, 0.36])
 def test_returns_of_a_finer_grid_are_no_rays_of_their_own(step_deg):
-    outcome = counts(find_rays(room(), room(step_deg=step_deg), (grid(), grid(step_deg=step_deg))))
+    outcome = counts(
+        find_rays(room(), room(step_deg=step_deg), (grid(), grid(step_deg=step_deg)))
+    )
     n = len(room())
     assert outcome["sim_only"] < 0.02 * n
     assert outcome["same"] > 0.95 * n
@@ -156,7 +158,9 @@ def test_rays_paired_by_direction_are_those_of_the_known_rows(real_data):
     sim_row = rows[1][rays.sim_row[both]]
     assert both.sum() >= len(np.intersect1d(*rows))
     assert (real_row == sim_row).mean() > 0.99
-    by_row = np.linalg.norm(scans[1][sim_row], axis=1) - np.linalg.norm(scans[0][real_row], axis=1)
+    by_row = np.linalg.norm(scans[1][sim_row], axis=1) - np.linalg.norm(
+        scans[0][real_row], axis=1
+    )
     paired = (rays.sim_range_m - rays.real_range_m)[both]
     assert np.median(np.abs(paired - by_row)) < 0.03  # both versions round their directions
 

@@ -47,12 +47,16 @@ def room(sensor, step_deg=STEP_DEG, lost_share=None):
     steep = directions @ TILT.T
     steep = np.where(np.abs(steep) < 1e-9, 1e-9, steep)
     range_m = (np.where(steep > 0, CORNERS_M[1], CORNERS_M[0]) / steep).min(axis=1)
-    answered = rng.random(len(range_m)) >= (sensor.lost_share if lost_share is None else lost_share)
+    answered = rng.random(len(range_m)) >= (
+        sensor.lost_share if lost_share is None else lost_share
+    )
     return (directions * measure_ranges(sensor, range_m, rng)[:, None])[answered]
 
 
 def pattern(text):
-    return BeamPattern(np.sort(np.array(text.split(), dtype=float)), 0.02, False, (), -90.0, 1.0)
+    return BeamPattern(
+        np.sort(np.array(text.split(), dtype=float)), 0.02, False, (), -90.0, 1.0
+    )
 
 
 def even(low, high, n):
@@ -195,7 +199,9 @@ def test_a_name_agrees_with_step_and_quantum():
         == "Hesai PandarXT-16"
     )
     assert (
-        recognise(beams, 0.1991).title == recognise(beams, None, 0.002).title == "Velodyne VLP-16"
+        recognise(beams, 0.1991).title
+        == recognise(beams, None, 0.002).title
+        == "Velodyne VLP-16"
     )
     neither = recognise(beams, 0.18, 0.05)
     assert neither.title is None and "2 mm, not 50 mm" in neither.reason
@@ -208,7 +214,9 @@ def test_beams_without_returns_are_counted_against_the_table():
     slope_deg = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
     facts = describe_sensor(points[(slope_deg < 13) & (slope_deg > -22)])
     assert beams_text(facts) == "38 of 40 beams, -19 to +11 degrees, uneven: Hesai Pandar40P"
-    assert beams_text(describe_sensor(room(even(-24.8, 2.0, 64)))).startswith("at least 64 beams, ")
+    assert beams_text(describe_sensor(room(even(-24.8, 2.0, 64)))).startswith(
+        "at least 64 beams, "
+    )
 
 
 @pytest.mark.parametrize(
@@ -243,7 +251,8 @@ def test_rings_tell_the_beams_of_a_scan_that_is_smeared():
     assert (facts.model, len(facts.elevation_deg)) == ("Velodyne HDL-32E", 32)
     assert not describe_sensor(smeared).is_sharp
     assert (
-        describe_sensor(points, np.zeros(len(points), dtype=np.int32)).model == "Velodyne HDL-32E"
+        describe_sensor(points, np.zeros(len(points), dtype=np.int32)).model
+        == "Velodyne HDL-32E"
     )
 
 
@@ -328,14 +337,21 @@ def test_axes_that_a_motion_turns_upright_are_not_named():
 
 
 def test_near_hits_are_told_with_what_the_present_settings_leave_of_them():
-    ring = 2.0 * np.column_stack([np.cos(np.arange(3000)), np.sin(np.arange(3000)), np.zeros(3000)])
+    ring = 2.0 * np.column_stack(
+        [np.cos(np.arange(3000)), np.sin(np.arange(3000)), np.zeros(3000)]
+    )
     scan = np.vstack([road(1000), ring])
     (dropped,) = implausible(scan, "real", 2.5)
     assert "0.2%" in dropped and "input.min_range_m=2.5" in dropped
     (left,) = implausible(scan, "real", 1.0)
     assert all(
         words in left
-        for words in ("75.3%", "input.min_range_m=1", "input.min_range_m=3", "input.exclude_box")
+        for words in (
+            "75.3%",
+            "input.min_range_m=1",
+            "input.min_range_m=3",
+            "input.exclude_box",
+        )
     )
 
 

@@ -141,7 +141,14 @@ def test_copies_of_a_scan_count_once(rng):
 
 
 def test_scans_within_ten_seconds_are_one_block_and_untimed_ones_stand_alone():
-    assert blocks_of([*"abcdef"], [0.0, 9.9, 10.0, None, 30.0, 19.9]).tolist() == [0, 0, 2, 3, 4, 2]
+    assert blocks_of([*"abcdef"], [0.0, 9.9, 10.0, None, 30.0, 19.9]).tolist() == [
+        0,
+        0,
+        2,
+        3,
+        4,
+        2,
+    ]
 
 
 def test_neighbours_form_chains():
@@ -164,7 +171,9 @@ def test_a_score_without_noise_tells_any_difference():
 
 
 def test_nulls_are_left_out():
-    found = spread(np.array([[1.0, np.nan, 3.0], [np.nan, np.nan, np.nan], [4.0, np.nan, np.nan]]))
+    found = spread(
+        np.array([[1.0, np.nan, 3.0], [np.nan, np.nan, np.nan], [4.0, np.nan, np.nan]])
+    )
     assert (found.mean, found.std_seeds) == (pytest.approx(3), pytest.approx(2**0.5))
     nothing = spread(np.full((2, 3), np.nan))
     assert set(vars(nothing).values()) == {None}
@@ -181,7 +190,9 @@ def test_the_repeatability_limit_covers_19_of_20_differences_however_few_the_rep
     means = np.abs(np.diff(rng.normal(0, 0.2 / n_pairs**0.5, (n, 2)))).ravel()
     error = 3 * (0.05 * 0.95 / n) ** 0.5
     assert np.mean(one < [own.least_pair for own in found]) == pytest.approx(0.95, abs=error)
-    assert np.mean(means < [own.least_dataset for own in found]) == pytest.approx(0.95, abs=error)
+    assert np.mean(means < [own.least_dataset for own in found]) == pytest.approx(
+        0.95, abs=error
+    )
     known = 1.959963984540054 * 2**0.5
     covered_before = np.mean(one < [known * own.std_seeds for own in found])
     assert covered_before < 0.95 - error
@@ -208,7 +219,10 @@ def town(seed):
     rng = np.random.default_rng(seed)
     sizes = rng.uniform([2, 2, 2], [12, 4, 5], (12, 3))
     return np.vstack(
-        [box([*rng.uniform(-45, 45, 2), 1], size, 400, seed + i) for i, size in enumerate(sizes)]
+        [
+            box([*rng.uniform(-45, 45, 2), 1], size, 400, seed + i)
+            for i, size in enumerate(sizes)
+        ]
     )
 
 
@@ -230,7 +244,9 @@ def test_only_scans_within_the_window_are_compared():
 
 def object_points(path):
     points = read_scan(path).points
-    points = points[np.isfinite(points).all(axis=1) & (np.hypot(points[:, 0], points[:, 1]) > 2.5)]
+    points = points[
+        np.isfinite(points).all(axis=1) & (np.hypot(points[:, 0], points[:, 1]) > 2.5)
+    ]
     return points[points[:, 2] > -1.3]
 
 

@@ -79,7 +79,8 @@ def test_the_roughness_of_a_noisy_plane_is_its_noise(rng):
     floor = np.column_stack([rng.uniform(0, 20, (1500, 2)), np.zeros(1500)])
     squares = [
         np.mean(
-            describe_surface(floor + [0, 0, 1] * rng.normal(0, noise, (1500, 1))).roughness_m ** 2
+            describe_surface(floor + [0, 0, 1] * rng.normal(0, noise, (1500, 1))).roughness_m
+            ** 2
         )
         for noise in (0.0, 0.02, 0.05, 0.1)
     ]
@@ -139,7 +140,10 @@ def test_strips_of_road_that_one_side_cut_away_are_no_pieces():
 def test_a_box_that_moved_is_one_missing_and_one_invented_piece_with_the_vector_between_them():
     crate = box([8, 0, -0.5], [1, 1, 1], 200, seed=4)
     post = box([8, 6, 0.5], [0.3, 0.3, 3], 100, seed=5)
-    real, sim = scan(crate, post, ground=BARE), scan(crate + [0.5, 2.5, 0.25], post, ground=BARE)
+    real, sim = (
+        scan(crate, post, ground=BARE),
+        scan(crate + [0.5, 2.5, 0.25], post, ground=BARE),
+    )
     missing, invented, counts = found(real, sim)
     assert (counts["n_missing_pieces"], counts["n_invented_pieces"]) == (1, 1)
     assert missing.partner.tolist() == invented.partner.tolist() == [0]
@@ -235,7 +239,9 @@ def test_components_are_those_of_all_links(rng, spread_m):
 
 
 def test_two_dense_clumps_a_link_apart_are_one_component_and_a_little_farther_two(rng):
-    clump = rng.uniform(-0.05, 0.05, (400, 3))  # the 16 nearest neighbours are all of the own clump
+    clump = rng.uniform(
+        -0.05, 0.05, (400, 3)
+    )  # the 16 nearest neighbours are all of the own clump
     clump[0] = [0.1, 0, 0]
     clump[1] = [-0.1, 0, 0]
     for gap_m, n_components in ((0.5999, 1), (0.6001, 2)):

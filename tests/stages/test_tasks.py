@@ -22,7 +22,8 @@ FAR_CAR = ((-20, 5), (4, 2))
 def solid(centre, size, height_m=1.5, step_m=0.2):
     """Points on a grid in a box above the road."""
     axes = [
-        np.arange(c - s / 2, c + s / 2 + 1e-9, step_m) for c, s in zip(centre, size, strict=True)
+        np.arange(c - s / 2, c + s / 2 + 1e-9, step_m)
+        for c, s in zip(centre, size, strict=True)
     ]
     x, y, z = np.meshgrid(*axes, np.arange(0.5, 0.5 + height_m, step_m))
     return np.column_stack([x.ravel(), y.ravel(), z.ravel()])
@@ -114,7 +115,10 @@ def test_ground_is_compared_where_both_sides_see_it():
     found = gaps(compare_ground(real, all_ground, SETTINGS))
     assert found["disagreement"] == pytest.approx(is_car.mean())
     nothing = CutScan(real.points[:0], is_car[:0], real.height_m[:0])
-    assert gaps(compare_ground(real, nothing, SETTINGS)) == {"disagreement": None, "height_m": None}
+    assert gaps(compare_ground(real, nothing, SETTINGS)) == {
+        "disagreement": None,
+        "height_m": None,
+    }
 
 
 def test_a_lost_obstacle_is_wrongly_free_and_an_added_one_wrongly_occupied():

@@ -37,7 +37,9 @@ def compare(real, sim):
     )
     is_sim = np.repeat([False, True], len(rows))
     splits = folds(np.zeros(len(is_sim), dtype=np.int32), azimuth_deg, is_sim)
-    alone = {name: separate(features[:, [i]], is_sim, splits).auc for i, name in enumerate(both[0])}
+    alone = {
+        name: separate(features[:, [i]], is_sim, splits).auc for i, name in enumerate(both[0])
+    }
     return separate(features, is_sim, splits), alone
 
 

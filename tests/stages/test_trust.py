@@ -97,7 +97,9 @@ def turned(scan, degrees):
         (lambda scan: with_misses(scan, 0.05, 120.0), MISSES),
         (lambda scan: with_misses(scan, 0.29, 200.0), MISSES),
         (
-            lambda scan: with_misses(scan, 0.25, np.random.default_rng(1).normal(150.0, 0.3, 9999)),
+            lambda scan: with_misses(
+                scan, 0.25, np.random.default_rng(1).normal(150.0, 0.3, 9999)
+            ),
             MISSES,
         ),
         (lambda scan: with_misses(with_misses(scan, 0.2, 150.0), 0.2, 200.0), MISSES),
@@ -113,7 +115,10 @@ def turned(scan, degrees):
         (lambda scan: of_image(scan, 2048), ONE_SWEEP),
         (lambda scan: np.round(scan, 2), FINE),
         (lambda scan: np.round(scan, 1), FRAME),
-        (lambda scan: (scan + [448262, 5411932, 115]).astype("f4") - [448262, 5411932, 115], FRAME),
+        (
+            lambda scan: (scan + [448262, 5411932, 115]).astype("f4") - [448262, 5411932, 115],
+            FRAME,
+        ),
     ],
 )
 def test_what_cannot_be_trusted_is_named(scan, change, need):
@@ -148,7 +153,9 @@ def test_a_cause_whose_need_is_in_doubt_is_unknown_with_the_reason(scan):
     assert known["missing parts"].amount == 1.0
     for name in ("height", "maximum range", "lost returns", "range noise", "blind sector"):
         assert known[name].amount is None and "not in the sensor's frame" in known[name].reason
-    assert all(amount.amount is None for amount in only_known(known, {FRAME: "mirrored"}).values())
+    assert all(
+        amount.amount is None for amount in only_known(known, {FRAME: "mirrored"}).values()
+    )
 
 
 def test_every_need_of_the_catalogue_can_be_in_doubt():
@@ -220,7 +227,9 @@ def test_ranges_of_two_sweeps_of_a_moving_sensor_alternate():
 def test_a_simulated_side_without_road_has_no_dead_beams(scan):
     above = scan[scan[:, 2] > ROAD_M]
     unknown = unknown_of(scan, above)
-    assert all("the road" in unknown[name] for name in ("beams", "lost returns", "blind sector"))
+    assert all(
+        "the road" in unknown[name] for name in ("beams", "lost returns", "blind sector")
+    )
 
 
 def test_a_real_side_without_road_has_no_invented_parts(scan):

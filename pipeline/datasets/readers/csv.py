@@ -34,9 +34,7 @@ def read(path: Path, columns: tuple[str, ...] = ()) -> Scan:
     n_columns = len(names)
     if n_columns > _MOST_COLUMNS:
         raise ScanError(f"{path}: {n_columns} columns found, at most {_MOST_COLUMNS} are read")
-    remedy = (
-        f"name its {n_columns} columns in input.columns, input.real_columns or input.sim_columns"
-    )
+    remedy = f"name its {n_columns} columns in input.columns, input.real_columns or input.sim_columns"
     has_header = not all(is_number(name) for name in names)
     if columns and len(columns) == n_columns:
         names = list(columns)

@@ -61,7 +61,10 @@ class Recording:
             self.connections.append(Connection(channel.topic, msgtype, schema))
 
     def messages(
-        self, connections: Sequence[Connection], start: int | None = None, stop: int | None = None
+        self,
+        connections: Sequence[Connection],
+        start: int | None = None,
+        stop: int | None = None,
     ) -> Iterator[tuple[Connection, int, bytes]]:
         """Messages of one topic in order of time, from `start` to before `stop`, nanoseconds."""
         topic = connections[0].topic

@@ -28,7 +28,11 @@ def read(path: Path, columns: tuple[str, ...] = ()) -> Scan:
     names: tuple[str, ...] = _COLUMNS
     if array.ndim == 2 and array.shape[1] == len(columns):
         names = columns
-    if array.ndim != 2 or not 3 <= array.shape[1] <= len(names) or array.dtype.kind not in "fiu":
+    if (
+        array.ndim != 2
+        or not 3 <= array.shape[1] <= len(names)
+        or array.dtype.kind not in "fiu"
+    ):
         raise ScanError(
             f"{path}: expected numbers of shape (n, 3) or (n, 4), got a {array.dtype} array of "
             f"shape {array.shape}; save array.T if a column is a point, or name the columns in "

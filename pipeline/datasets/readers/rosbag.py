@@ -180,9 +180,13 @@ def _cloud_columns(file: Path, cloud: Any) -> dict[str, NDArray[Any]]:
     """The fields of a PointCloud2 by name, row by row where it is organised; fields of several numbers are left out."""
     order = ">" if cloud.is_bigendian else "<"
     known = [
-        field for field in cloud.fields if field.count <= 1 and 1 <= field.datatype <= len(_NUMBERS)
+        field
+        for field in cloud.fields
+        if field.count <= 1 and 1 <= field.datatype <= len(_NUMBERS)
     ]
-    fields = [(field.name, order + _NUMBERS[field.datatype - 1], field.offset) for field in known]
+    fields = [
+        (field.name, order + _NUMBERS[field.datatype - 1], field.offset) for field in known
+    ]
     row_bytes = cloud.width * cloud.point_step
     row_step = cloud.row_step if cloud.height > 1 else row_bytes
     n_bytes = max(cloud.height - 1, 0) * row_step + row_bytes

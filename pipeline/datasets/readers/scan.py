@@ -111,12 +111,16 @@ def scan_from_columns(
         is_label = name == "label"
         if column.ndim != 1 or (not is_label and column.dtype.kind in _NO_NUMBERS):
             kind = f"{column.dtype} values of shape {column.shape}"
-            raise ScanError(f"{path}: column {name}: expected one real number per row, got {kind}")
+            raise ScanError(
+                f"{path}: column {name}: expected one real number per row, got {kind}"
+            )
         if not is_label:
             numbers[name] = _numbers(path, name, column)
     lengths = {len(column) for column in by_name.values()}
     if len(lengths) > 1:
-        raise ScanError(f"{path}: expected columns of equal length, got lengths {sorted(lengths)}")
+        raise ScanError(
+            f"{path}: expected columns of equal length, got lengths {sorted(lengths)}"
+        )
 
     points = np.column_stack([numbers[axis] for axis in "xyz"])
     rings = _ring_numbers(numbers.get("ring"))
@@ -235,7 +239,11 @@ def _are_rings(points: FloatArray, numbers: IntArray) -> bool:
 
 def _notes(ring_column: str | None, rings: IntArray | None) -> tuple[str, ...]:
     """Notes of a scan, see `Scan`."""
-    if ring_column != "laser_number" or rings is None or rings.max(initial=-1) < _ARGOVERSE_BEAMS:
+    if (
+        ring_column != "laser_number"
+        or rings is None
+        or rings.max(initial=-1) < _ARGOVERSE_BEAMS
+    ):
         return ()
     return (
         f"laser numbers up to {rings.max()}: two fused sensors of {_ARGOVERSE_BEAMS} beams "

@@ -39,7 +39,9 @@ def read(scan: ScanRef) -> Scan:
     """
     file = scan.file
     revolutions = _revolutions(file, file.stat().st_mtime_ns)
-    revolution = revolutions[frame_number(scan, [revolution.time_ns for revolution in revolutions])]
+    revolution = revolutions[
+        frame_number(scan, [revolution.time_ns for revolution in revolutions])
+    ]
     packets = _packets(file, revolution.start, revolution.stop)
     return scan_from_columns(file, decoded(file, [(stamp, data) for _, stamp, data in packets]))
 
@@ -107,7 +109,9 @@ def _packets(
 
     with file.open("rb") as stream:
         capture = dpkt.pcap.UniversalReader(stream)
-        outermost = dpkt.sll.SLL if capture.datalink() == _LINUX_COOKED else dpkt.ethernet.Ethernet
+        outermost = (
+            dpkt.sll.SLL if capture.datalink() == _LINUX_COOKED else dpkt.ethernet.Ethernet
+        )
         if start is not None:
             stream.seek(start)
         for stamp, content in capture:

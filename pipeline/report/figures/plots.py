@@ -94,7 +94,10 @@ def plot_pieces(run: FinishedRun, pair_id: str, ax: Axes | None = None) -> Figur
             is_piece = points["piece_id"] >= 0
             style.dots(axis, coordinates(points[~is_piece]), 1.2, _OTHERS)
             n_pieces = count(pieces.ngroups, f"{_PIECE_WORDS[side]} piece")
-            look = {"label": f"{n_pieces}, {percent(is_piece.mean())} of the points", "zorder": 2}
+            look = {
+                "label": f"{n_pieces}, {percent(is_piece.mean())} of the points",
+                "zorder": 2,
+            }
             style.dots(axis, coordinates(points[is_piece]), 2, SIDE_COLOURS[side], **look)
             for piece_id, x, y, _ in pieces.mean().head(_MOST_NUMBERS).itertuples():
                 look = {"xytext": (4, 4), "textcoords": "offset points", "clip_on": True}
@@ -130,7 +133,9 @@ def plot_range_image(run: FinishedRun, pair_id: str, ax: Axes | None = None) -> 
     look = {"cmap": ListedColormap([*OUTCOME_COLOURS.values()]), "interpolation": "nearest"}
     look |= {"vmin": 0, "vmax": len(OUTCOME_COLOURS) - 1}
     with style.axes_for(ax, 11, 3) as axis:
-        axis.set(xlabel="azimuth (degrees, left positive)", ylabel="beam", title=_title(pair_id))
+        axis.set(
+            xlabel="azimuth (degrees, left positive)", ylabel="beam", title=_title(pair_id)
+        )
         axis.imshow(image, extent=(180, -180, 0, len(image)), aspect="auto", **look)
         handles = []
         for name, colour in OUTCOME_COLOURS.items():

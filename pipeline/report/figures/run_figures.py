@@ -67,10 +67,14 @@ def _plot_scores(pair_ids: pd.Series, scored: pd.DataFrame) -> Figure:
     """CDC against r_lambda, and the spread of both within each pair, Fig. 3."""
     with style.new_figure(12, 3.5) as figure:
         scatter, *spreads = figure.subplots(1, 3)
-        scatter.scatter(scored.cdc, scored.r_lambda, s=9, c=scored.quadrant.map(QUADRANT_COLOURS))
+        scatter.scatter(
+            scored.cdc, scored.r_lambda, s=9, c=scored.quadrant.map(QUADRANT_COLOURS)
+        )
         scatter.set(xlabel=_axis_title("cdc"), ylabel=_axis_title("r_lambda"))
         for axis, score in zip(spreads, QUADRANT_SCORES, strict=True):
-            of_pairs = [scored[score][scored.pair_id == name].astype(float) for name in pair_ids]
+            of_pairs = [
+                scored[score][scored.pair_id == name].astype(float) for name in pair_ids
+            ]
             axis.boxplot(of_pairs, manage_ticks=False)
             axis.set(xlabel="pairs, worst first", ylabel=_axis_title(score))
     return figure

@@ -78,7 +78,9 @@ def _plotly() -> Markup:
 
 def _asset(name: str) -> Markup:
     """A file of `assets`, inserted into the page unchanged."""
-    return Markup(resources.files(__package__).joinpath("assets", name).read_text(encoding="utf-8"))
+    return Markup(
+        resources.files(__package__).joinpath("assets", name).read_text(encoding="utf-8")
+    )
 
 
 def _code(*names: str) -> Markup:

@@ -42,7 +42,9 @@ _MOST_ROAD_POINTS = 4000
 _STEPS = 32767
 
 
-def pair_data(results: RunResults, pair_id: str, most_points: int = MOST_POINTS) -> dict[str, Any]:
+def pair_data(
+    results: RunResults, pair_id: str, most_points: int = MOST_POINTS
+) -> dict[str, Any]:
     """One pair for the page: points of both sides, and objects.
 
     Parameters

@@ -121,7 +121,9 @@ def _objects_table(results: RunResults, in_3d: Container[str]) -> Table:
     """Objects of all pairs, worst first."""
     scores = (*scores_in("page"), *COVERED)
     rows = plain_rows(results.objects.head(_MOST_ROWS))
-    title = "Matched objects by the mean of their ranks in CDC and r_lambda, then unmatched ones"
+    title = (
+        "Matched objects by the mean of their ranks in CDC and r_lambda, then unmatched ones"
+    )
     if len(results.objects) > _MOST_ROWS:
         title += f"; {_MOST_ROWS:,} of {len(results.objects):,}: Python has the rest"
     headings = [*_OBJECTS.values(), *labels(scores)]
@@ -134,7 +136,9 @@ def _objects_table(results: RunResults, in_3d: Container[str]) -> Table:
 def _made_table(record: RunRecord) -> Table:
     """Settings, versions and machine by name."""
     values = pd.json_normalize({name: record.as_dict()[name] for name in _MADE}).iloc[0]
-    return Table("", ("", ""), [(name, str(value)) for name, value in values.items()], words=(0, 1))
+    return Table(
+        "", ("", ""), [(name, str(value)) for name, value in values.items()], words=(0, 1)
+    )
 
 
 #: A bar: parts from good to bad, each with its look, its words, and its share of the whole.
@@ -143,7 +147,9 @@ Bar = dict[str, Any]
 
 def _bars(results: RunResults, excess: RunExcess | None) -> list[Bar]:
     """Surface of both sides by distance to the other one, and real objects by quadrant."""
-    counts = results.matched["quadrant"].value_counts().reindex([*QUADRANTS, UNKNOWN], fill_value=0)
+    counts = (
+        results.matched["quadrant"].value_counts().reindex([*QUADRANTS, UNKNOWN], fill_value=0)
+    )
     not_found = FATE_WORDS["not_found"]
     counts[not_found] = (results.unmatched["status"] == "not_found").sum()
     looks = {UNKNOWN: "unknown", not_found: "real step3"}

@@ -77,7 +77,9 @@ def answer_sections(
     most = None if with_all else _MOST_CAUTIONS
     trust = trust_words(overview, most)
     if not with_all:
-        trust.append(f"more: {shlex.join(['fidpipe', 'show', url_or_path(run.folder), '--all'])}")
+        trust.append(
+            f"more: {shlex.join(['fidpipe', 'show', url_or_path(run.folder), '--all'])}"
+        )
     return {
         "  surface": items_of(surface_words(record, excess)),
         "  pieces": items_of(pieces_words(record)),
@@ -110,7 +112,9 @@ def cause_items(causes: Sequence[Cause]) -> list[Item]:
 def _worst_places(overview: Overview, with_all: bool) -> list[Item]:
     pieces = overview.pieces if with_all else overview.pieces[:_MOST_PLACES]
     names = shortened({piece.pair_id for piece in pieces}, _PAIR_WIDTH)
-    return [(f"{names[piece.pair_id]}  {piece.words}", "", piece.fate_words) for piece in pieces]
+    return [
+        (f"{names[piece.pair_id]}  {piece.words}", "", piece.fate_words) for piece in pieces
+    ]
 
 
 def trust_words(overview: Overview, most: int | None) -> list[str]:

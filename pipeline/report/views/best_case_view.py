@@ -28,7 +28,9 @@ def excess_view(excess: RunExcess) -> View:
         rows.append((metric_of(column).label, *means, *distance))
     headings = ("score", "mean", "best case", "excess", "± std", "bias", "area")
     n_pairs = count(len(excess.pairs), "pair")
-    title = f"{excess.run} over the best case {excess.best_case} ({excess.recipe.words}): {n_pairs}"
+    title = (
+        f"{excess.run} over the best case {excess.best_case} ({excess.recipe.words}): {n_pairs}"
+    )
     return [
         Table(title, headings, rows),
         Note(_EXCESS_NOTE),

@@ -127,7 +127,9 @@ def answer(comparison: Comparison, n_places: int = _MOST_PLACES) -> Answers:
     sections = {
         "Where": items_of(*where),
         "Objects": items_of(kinds),
-        "Compared": items_of(f"{comparison.other} against {comparison.base}", chance(comparison)),
+        "Compared": items_of(
+            f"{comparison.other} against {comparison.base}", chance(comparison)
+        ),
         "Next": items_of(shlex.join(["fidpipe", "diagnose", *map(str, again)])),
     }
     return Answers(_by_verdict(comparison) | sections)
@@ -148,13 +150,9 @@ def chance(comparison: Comparison) -> str:
     """How pairs were counted, and the rate of false alarms."""
     counted = comparison.counted
     if comparison.by_direction:
-        counted += (
-            f"; the world counts if frames and {N_SECTORS} directions agree (--independent: frames)"
-        )
+        counted += f"; the world counts if frames and {N_SECTORS} directions agree (--independent: frames)"
     if comparison.is_small:
-        return (
-            f"{counted}; fewer than {LEAST_PAIRS} pairs: of the world only very large changes count"
-        )
+        return f"{counted}; fewer than {LEAST_PAIRS} pairs: of the world only very large changes count"
     return f"{counted}; false-alarm rate at most {100 * ERROR_RATE:.0f} %"
 
 
@@ -208,7 +206,9 @@ def scores_table(comparison: Comparison, *, with_all: bool) -> Table:
             rows.append((family.name, verdict, f"{score.name} {score.mark}", *numbers))
             verdict = ""
     headings = ("family", "verdict", "score", "before", "after", "change, 95 %", "p")
-    title = f"Means over {len(comparison.pairs)} pairs, the clearest change first ({MARKS_NOTE})"
+    title = (
+        f"Means over {len(comparison.pairs)} pairs, the clearest change first ({MARKS_NOTE})"
+    )
     return Table(title, headings, rows, words=(0, 1, 2), wide=(6,), whole=(1,))
 
 

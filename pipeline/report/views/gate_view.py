@@ -38,7 +38,10 @@ def base_view(result: BaseResult) -> View:
     failed = result.failed
     outcome = f"{len(failed)} of {len(result.checks)} checks failed" if failed else "passed"
     return [
-        *(Note(f"failed: expected: {check.name}; found: {check.found}", "red") for check in failed),
+        *(
+            Note(f"failed: expected: {check.name}; found: {check.found}", "red")
+            for check in failed
+        ),
         Note(f"gate on {result.fail_on}: {outcome}", "red" if failed else "green"),
     ]
 

@@ -115,7 +115,9 @@ def baselines_view(summaries: Sequence[BaselineSummary]) -> View:
         rows.append((metric.heading, summary.level, unit, summary.mean, summary.std))
         if summary.n_null:
             n = summary.n + summary.n_null
-            notes.append(f"{summary.baseline} is null for {summary.n_null} of {n} {summary.level}")
+            notes.append(
+                f"{summary.baseline} is null for {summary.n_null} of {n} {summary.level}"
+            )
     headings = ("baseline", "of", "unit", "mean", "std")
     title = "Baselines (mean and standard deviation over pairs)"
     lines = (

@@ -83,7 +83,9 @@ def pair_view(values: Mapping[str, Any], *, with_all: bool = False) -> View:
     parts: list[Part] = [Note(_pair_sentence(row), "bold"), _sides_table(row)]
     parts += [_rays(row["rays_reason"], values["rays"]), _matched_table(matched)]
     if matched:
-        words = "offset: distance between the centroids; align: RMS distance of the aligned nodes"
+        words = (
+            "offset: distance between the centroids; align: RMS distance of the aligned nodes"
+        )
         parts.append(Note(words))
     return [*parts, *_unmatched(objects, with_all=with_all)]
 
@@ -101,8 +103,22 @@ def _pair_sentence(row: Row) -> str:
 def _sides_table(row: Row) -> Table:
     """Points and objects of both sides, and how much of their surface the other side has."""
     reaches = [f"within\n{reach_words(reach)}" for reach in COVERAGE_REACHES]
-    headings = ("side", "points", "clean", "not\nground", "ground\nbelow (m)", "objects", *reaches)
-    columns = ["n_{}_raw", "n_{}_clean", "n_{}_points", "ground_{}_threshold_m", "n_communities_{}"]
+    headings = (
+        "side",
+        "points",
+        "clean",
+        "not\nground",
+        "ground\nbelow (m)",
+        "objects",
+        *reaches,
+    )
+    columns = [
+        "n_{}_raw",
+        "n_{}_clean",
+        "n_{}_points",
+        "ground_{}_threshold_m",
+        "n_communities_{}",
+    ]
     columns += [f"covered_{{}}_{reach}" for reach in COVERAGE_REACHES]
     rows = []
     for side in SIDES:
@@ -208,7 +224,9 @@ def judgement(row: Mapping[str, Any]) -> str:
     rms_m = row["alignment_rms_m"]
     has_score = row["r_lambda"] is not None and rms_m is not None
     if has_score and alignment_is_bad(rms_m, row["diagonal_m"]):
-        text += f" Its r_lambda is unreliable: the nodes were aligned {number(rms_m, 1)} m apart."
+        text += (
+            f" Its r_lambda is unreliable: the nodes were aligned {number(rms_m, 1)} m apart."
+        )
     return text
 
 

@@ -15,7 +15,9 @@ def status_view(status: RunStatus) -> View:
     n_pairs = count(status.n_pairs, "pair")
     title = f"{url_or_path(status.folder)}: {n_pairs} of {status.dataset}"
     parts: list[Part] = [Note(title, "bold")]
-    finished = [name for name, counts in status.stages.items() if counts["done"] == status.n_pairs]
+    finished = [
+        name for name, counts in status.stages.items() if counts["done"] == status.n_pairs
+    ]
     if finished:
         parts.append(Note(f"finished for all pairs: {', '.join(finished)}"))
     is_open = False
