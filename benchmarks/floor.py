@@ -30,9 +30,8 @@ REPEATS = 3
 
 def main(dataset, every):
     print(machine())
-    repeats = (
-        REPEATS * every
-    )  # smaller pairs take less time, and the noise of a start would show
+    # smaller pairs take less time, and the noise of a start would show
+    repeats = REPEATS * every
     with scratch() as folder:
         if every > 1:
             dataset = thinned(dataset, every, folder / "thinned")

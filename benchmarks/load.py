@@ -252,9 +252,8 @@ def main(n_pairs=5000, points=300, seconds_between_kills=60, figure=None):
             f"memory of {name}: {second} MiB in the second quarter of the run, {last} in the last; at most {most}"
         )
     print(f"status: exit code {status.returncode}\n{status.stdout}")
-    is_same = all(
-        found_again[name] == of for name, of in found.items() if name != "reasons"
-    )  # those name the worker
+    # those name the worker
+    is_same = all(found_again[name] == of for name, of in found.items() if name != "reasons")
     print(f"second run: exit code {again.returncode}, {again_s:.1f} s, the same: {is_same}")
 
 

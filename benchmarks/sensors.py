@@ -27,9 +27,8 @@ from fidpipe.schemas.sensor_models import SENSORS
 from fidpipe.stages.generate.street_scans import make_pair
 from fidpipe.stages.sensor_description import beams_text, describe_sensor
 
-HEIGHTS_M = {
-    "hdl64": (0.12, 0.21)
-}  # of the lower and the upper block above the origin of its recordings
+# of the lower and the upper block above the origin of its recordings
+HEIGHTS_M = {"hdl64": (0.12, 0.21)}
 RECORDINGS = {
     "rellis/vel000104.bin": "Velodyne VLP-32C",
     "rellis/000104.bin": "Ouster OS1-64 (gen 1)",

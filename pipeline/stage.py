@@ -148,10 +148,11 @@ class Memo:
             *(id(value) if isinstance(value, pa.Table) else value for value in arguments),
         )
         if key not in self._results:
+            # kept, so that no other table gets the same id
             self._results[key] = (
                 function(*arguments),
                 arguments,
-            )  # kept, so that no other table gets the same id
+            )
         return self._results[key][0]
 
 

@@ -24,9 +24,8 @@ from .reference import visiting_order
 from .selection import Selection
 
 _SEED = 0  # of samples
-_MAX_PIVOTS = (
-    10**12
-)  # of the network simplex; far more than it needs, so that it always converges
+# of the network simplex; far more than it needs, so that it always converges
+_MAX_PIVOTS = 10**12
 # Range images of LiDAR4D: rows and columns, degrees from the upper edge to the horizon and to the lower edge, range
 _IMAGE_ROWS, _IMAGE_COLUMNS = 66, 1030
 _IMAGE_UP_DEG, _IMAGE_DEG = 2.0, 26.9

@@ -340,9 +340,8 @@ def _partners(a: _Side, b: _Side) -> IndexArray:
     near = near[order]
     partner = np.full(len(a.points), -1)
     is_taken = np.zeros(len(b.points), dtype=bool)
-    while len(
-        row
-    ):  # a pair that comes first for both of its returns is the nearest pair of both
+    while len(row):
+        # a pair that comes first for both of its returns is the nearest pair of both
         first = np.flatnonzero(_is_first(row, len(partner)) & _is_first(near, len(is_taken)))
         partner[row[first]] = near[first]
         is_taken[near[first]] = True

@@ -412,9 +412,8 @@ def _range_quantum(sweep: Sweep, rounding_m: float) -> float | str:
 
     def is_multiple(quantum: float) -> bool:
         n_quanta = range_m / quantum
-        turn = (2 * np.pi * (n_quanta - np.floor(n_quanta))).astype(
-            np.float32
-        )  # cosines are fast
+        # cosines are fast
+        turn = (2 * np.pi * (n_quanta - np.floor(n_quanta))).astype(np.float32)
         length = np.hypot(np.bincount(beam, np.cos(turn)), np.bincount(beam, np.sin(turn)))
         return bool(length[used].sum() / n_returns[used].sum() >= 0.7)
 

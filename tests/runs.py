@@ -104,9 +104,8 @@ def command(*words, code=None, cwd=None, **options):
         contextlib.redirect_stdout(streams[0]),
         contextlib.redirect_stderr(streams[1]),
         mock.patch.object(sys, "argv", [FIDPIPE, *words]),
-        mock.patch.object(
-            sys.modules["__main__"], "__package__", None
-        ),  # a script, also under `python -m pytest`
+        # a script, also under `python -m pytest`
+        mock.patch.object(sys.modules["__main__"], "__package__", None),
         warnings.catch_warnings(),
     ):
         warnings.resetwarnings()

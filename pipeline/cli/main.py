@@ -132,9 +132,8 @@ def _flushed(code: int | None) -> int | None:
         sys.stdout.flush()
         return code
     except OSError as error:
-        if (
-            error.errno != errno.EPIPE and not code
-        ):  # who reads from a pipe may stop at any time
+        if error.errno != errno.EPIPE and not code:
+            # who reads from a pipe may stop at any time
             _complain(f"error: {_refusal(error) or error}")
         # or Python tries again, and complains
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -147,9 +146,8 @@ def _explained(error: Exception) -> str:
         return f"error: {error}"
     if isinstance(error, OSError) and _refusal(error):
         return f"error: {_refusal(error)}"
-    if isinstance(
-        error, UnicodeEncodeError
-    ):  # Python reads bytes that are not UTF-8 as surrogates
+    if isinstance(error, UnicodeEncodeError):
+        # Python reads bytes that are not UTF-8 as surrogates
         name = error.object[: error.end].split()[-1].strip("'\"")
         return f"error: the name {name!a} is not UTF-8; rename the file or folder"
     if isinstance(error, MemoryError):

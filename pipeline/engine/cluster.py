@@ -194,9 +194,8 @@ class DaskPool(Pool):
     def close(self) -> None:
         """See `Pool`."""
         if self._client is not None:
-            with suppress(
-                TimeoutError
-            ):  # a busy machine; what still runs ends with this process
+            with suppress(TimeoutError):
+                # a busy machine; what still runs ends with this process
                 self._client.close(timeout=_STOP_S)
         if self._cluster is not None:
             self._cluster.sync(_end, self._cluster.workers.values())
@@ -258,9 +257,8 @@ class DaskPool(Pool):
             except BaseException:
                 if self._cluster is None:
                     prefork.kill_workers()
-                    atexit.unregister(
-                        distributed.deploy.spec.close_clusters
-                    )  # it asserts that all of it was there
+                    # it asserts that all of it was there
+                    atexit.unregister(distributed.deploy.spec.close_clusters)
                 raise
         raise RunError(
             f"no cluster could be started here in {_STARTS} tries ({fault}; was a worker killed, or is memory or "

@@ -257,9 +257,8 @@ class Schedule:
             del self._active[pair.plan.pair_id]
             self._quarantine.append(pair)
         elif reason:
-            self._submit_jobs(
-                pair, readers
-            )  # the input files may have fewer points than estimated
+            # the input files may have fewer points than estimated
+            self._submit_jobs(pair, readers)
         elif pair.scored:
             rows = tuple(pair.scored)
             pair.scored.clear()

@@ -147,9 +147,8 @@ def _write_dataset(
                 real = sim = str(pair.real.absolute())
                 try:
                     scan = read_scan(pair.real, settings.columns_of("real"), source.label_names)
-                except (
-                    ScanError
-                ):  # reported by the run, which reads the real scan on both sides
+                except ScanError:
+                    # reported by the run, which reads the real scan on both sides
                     path.unlink(missing_ok=True)
                 else:
                     sim = f"sim/{path.name}"

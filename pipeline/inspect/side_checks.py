@@ -83,9 +83,8 @@ def sample_scan(
     sensor : of the scan, if it was described already
     """
     points = at_sensor(scan.points, side, settings)
-    if sensor is None and len(
-        points
-    ):  # neither cleaned nor moved: beams are those of its frame
+    if sensor is None and len(points):
+        # neither cleaned nor moved: beams are those of its frame
         sensor = describe_sensor(points, scan.rings)
     uncut = settings.model_copy(update={"include_box": None, "voxel_m": None})
     clean = clean_scan(scan.points, uncut, frame=settings.frame_of(side)).points
@@ -200,9 +199,8 @@ def _offset_text(offset: TimeOffset) -> str:
 
 def _ego_text(hits: EgoHits, side: str, settings: InputSettings) -> str:
     """The hits, the setting that drops them, and the share of other points that it drops."""
-    axes = as_ros(
-        np.eye(3), settings.frame_of(side)
-    )  # a row for each axis of the side's own frame
+    # a row for each axis of the side's own frame
+    axes = as_ros(np.eye(3), settings.frame_of(side))
     corners = np.array([hits.low, hits.high]) @ axes.T
     box = ",".join(
         f"{value + 0.0:.1f}" for value in (*corners.min(axis=0), *corners.max(axis=0))

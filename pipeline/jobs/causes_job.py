@@ -104,9 +104,8 @@ def intensity_amounts(inputs: Inputs) -> dict[str, Amount]:
     sim = scores["intensity_sim_by_range"]
     if real is not None and sim is not None:
         amounts["intensity by range"] = Amount(sim - real, real, sim)
-    is_constant = "constant" in (
-        scores["intensity_note"] or ""
-    )  # as of files with an empty column
+    # as of files with an empty column
+    is_constant = "constant" in (scores["intensity_note"] or "")
     if scores["intensity_rank_distance"] is not None and not is_constant:
         amounts["intensity ranks"] = Amount(scores["intensity_rank_distance"])
     if scores["intensity_ratio"] is not None and scores["intensity_rmse"] is not None:

@@ -6,6 +6,5 @@ figures/ draw. They share run_frames (reads a run) and look (colours).
 
 import logging
 
-logging.getLogger("matplotlib").setLevel(
-    logging.ERROR
-)  # where its cache is, or is not, does not concern our users
+# where its cache is, or is not, does not concern our users
+logging.getLogger("matplotlib").setLevel(logging.ERROR)

@@ -19,9 +19,8 @@ _PAUSES_S = (0.5, 1.0, None)  # after each try; none after the last
 _SECONDS_BETWEEN_LINES = 3.0
 _MODIFIED = "modified "
 _STATUS = re.compile(r"status code: (\d+)")
-_MACHINE = re.compile(
-    "169[.]254[.]|computeMetadata"
-)  # where a machine in a cloud asks if the environment has none
+# where a machine in a cloud asks if the environment has none
+_MACHINE = re.compile("169[.]254[.]|computeMetadata")
 
 
 class NoSuchObjectError(StoreError):

@@ -30,9 +30,8 @@ if TYPE_CHECKING:
     from ...schemas.settings import Settings
 
 RUN_JSON = "run.json"
-_SEAL = re.compile(
-    rb',\n  "sha256": "([0-9a-f]{64})"\n}\n\Z'
-)  # records written by others have none
+# records written by others have none
+_SEAL = re.compile(rb',\n  "sha256": "([0-9a-f]{64})"\n}\n\Z')
 SETTINGS_TOML = "settings.toml"
 
 #: Everything whose version can change a number or a file.

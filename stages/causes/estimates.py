@@ -375,9 +375,8 @@ def _maximum_range(real: Side, sim: Side) -> Amount:
 
 
 def _stray_amount(real: Side, sim: Side) -> Amount:
-    if (
-        not real.sensor.elevation_deg and not sim.sensor.elevation_deg
-    ):  # the sensor may be elsewhere
+    if not real.sensor.elevation_deg and not sim.sensor.elevation_deg:
+        # the sensor may be elsewhere
         return _unknown(real.sensor, sim.sensor, "elevation_deg")
     real_share = _stray_share(real)
     sim_share = _stray_share(sim)
@@ -505,9 +504,8 @@ def _elevation_noise(real: Side, sim: Side, recorded: Side) -> Amount:
     known = _known_difference(a, b, "elevation_noise_deg", "elevation_deg")
     if known.amount is not None or not a.elevation_deg:
         return known
-    is_seen = real.elevation_deg > np.quantile(
-        sim.elevation_deg, 0.001
-    )  # lowest beams may be dead
+    # lowest beams may be dead
+    is_seen = real.elevation_deg > np.quantile(sim.elevation_deg, 0.001)
     real_deg = blurred_elevation_deg(a, real.chosen(is_seen))
     sim_deg = blurred_elevation_deg(a, recorded)
     if real_deg is not None and sim_deg is not None:

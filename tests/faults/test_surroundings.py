@@ -35,9 +35,8 @@ def test_a_dataset_that_changes_during_the_run_gives_no_mixed_result(data, tmp_p
     harm, reason = CHANGES[change]
     started = Started("run", data, "--out", out, "--workers", 1)
     assert started.wait_for((out / "ground" / "000.real.parquet").exists)
-    started.process.send_signal(
-        signal.SIGSTOP
-    )  # so that it changes in the middle, regardless of the machine's load
+    # so that it changes in the middle, regardless of the machine's load
+    started.process.send_signal(signal.SIGSTOP)
     harm(data / "sim" / "003.bin")
     started.process.send_signal(signal.SIGCONT)
     code, errors = started.end()

@@ -210,9 +210,8 @@ def test_a_damaged_file_gives_points_or_one_line_of_error(child, tmp_path_factor
     assert child.read(path) == "points"
     valid = {part: part.read_bytes() for part in [path, *path.glob("*")] if part.is_file()}
     allowed = {"points", "error"}
-    if (
-        scan_ref(path).format.may_crash
-    ):  # runs read such files in workers with a limit, and replace a worker that ends
+    if scan_ref(path).format.may_crash:
+        # runs read such files in workers with a limit, and replace a worker that ends
         allowed.add("ended")
 
     @settings(

@@ -331,9 +331,8 @@ def canonical(
     for node in range(len(labels)) if order is None else order:
         if labels[node] >= 0:
             members.setdefault(int(labels[node]), []).append(node)
-    ranked = sorted(
-        members.values(), key=len, reverse=True
-    )  # of equal sizes the first stays first
+    # of equal sizes the first stays first
+    ranked = sorted(members.values(), key=len, reverse=True)
     new = {node: i for i, nodes in enumerate(ranked) for node in nodes}
     return [new.get(node, -1) for node in range(len(labels))]
 

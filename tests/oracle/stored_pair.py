@@ -98,9 +98,8 @@ class StoredPair:
         """All rows of a table, recomputed, next to the stored ones."""
         keys = list(TABLES[table].keys)
         frame = pd.DataFrame(recomputed, columns=None if len(recomputed) else keys)
-        frame = frame.sort_values(
-            keys, key=lambda column: column.replace(-1, np.inf)
-        )  # nulls last
+        # nulls last
+        frame = frame.sort_values(keys, key=lambda column: column.replace(-1, np.inf))
         return Recomputed(table, self.table(table, side).set_index(keys), frame.set_index(keys))
 
     def values(self, table, stored, recomputed):

@@ -77,9 +77,8 @@ def test_noise_and_losses_are_those_of_each_scan_and_usual_ones_where_it_shows_n
     again = read_scan(tmp_path / "best_case" / "dataset" / "sim" / "cast.parquet").points
     second = describe_sensor(again)
     assert own.lost_share > 0.1 and second.lost_share == pytest.approx(own.lost_share, abs=0.02)
-    assert len(again) == pytest.approx(
-        len(rows), rel=0.05
-    )  # it loses other pulses, but not more of them
+    # it loses other pulses, but not more of them
+    assert len(again) == pytest.approx(len(rows), rel=0.05)
     assert "lost returns" not in {cause.name for cause in made.record.overview.causes}
 
 
@@ -152,9 +151,8 @@ def test_a_finished_best_case_is_not_replaced_by_another_recipe_or_dataset(folde
         best_case(folder / "streets", out)
     with pytest.raises(RunError, match="--out"):
         best_case(folder / "streets", folder / "run")
-    assert (
-        best_case(data, out, noise_m=0.1, replace=True).n_made == n_made - 4
-    )  # all but those of the real side
+    # all but those of the real side
+    assert best_case(data, out, noise_m=0.1, replace=True).n_made == n_made - 4
 
 
 def test_excess_is_paired_by_name_and_areas_are_over_objects(folder):

@@ -150,9 +150,8 @@ def test_help_imports_nothing_heavy():
 def test_status_show_and_a_run_with_nothing_to_do_import_no_numerics(scenario, tmp_path):
     streets = scenario("plain") / "streets"
     folder = shutil.copytree(scenario("plain") / "run", tmp_path / "run")
-    assert (
-        command("run", streets, "--out", folder, "--workers", 1).returncode == 0
-    )  # the first repetition rewrites the table timings
+    # the first repetition rewrites the table timings
+    assert command("run", streets, "--out", folder, "--workers", 1).returncode == 0
     heavy = (
         "scipy.sparse",
         "scipy.spatial",
@@ -163,6 +162,7 @@ def test_status_show_and_a_run_with_nothing_to_do_import_no_numerics(scenario, t
         "plotly",
         "pyarrow.compute",
     )
+    # until their file is met
     heavy += (
         "rosbags",
         "mcap",
@@ -170,7 +170,7 @@ def test_status_show_and_a_run_with_nothing_to_do_import_no_numerics(scenario, t
         "dpkt",
         "laspy",
         "lazrs",
-    )  # until their file is met
+    )
     words = [
         ["status", str(folder)],
         ["show", str(folder)],

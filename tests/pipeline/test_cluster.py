@@ -199,9 +199,8 @@ def test_a_cluster_that_starts_workers_for_tasks_is_asked_for_one(tmp_path):
         adaptive.adapt(minimum=0, maximum=1, interval="100ms")
         required = Requirements(code_versions([]), TableFolder(tmp_path, "shared"))
         pool = DaskPool(1, address=adaptive.scheduler_address, required=required)
-        (tmp_path / TOKEN).write_text(
-            "moved"
-        )  # a worker that joins from now on sees other files
+        # a worker that joins from now on sees other files
+        (tmp_path / TOKEN).write_text("moved")
         try:
             pool.submit(pow, 2, 5)
             with pytest.raises(RunError, match=str(tmp_path)):

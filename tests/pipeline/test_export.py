@@ -147,9 +147,8 @@ def test_the_points_in_mcap_are_those_of_the_tables(run, folder):
     assert seen >= {"ground", "scored", "identical", "not_found", "extra"}
     sim = topics["/fidpipe/sim"][0][1]
     remnants = np.unique(sim["community"][sim["status"] == STATUSES.index("not_found")])
-    assert remnants.tolist() == (
-        [5] if run.preset == "reference" else []
-    )  # the box that is simulated by a few points
+    # the box that is simulated by a few points
+    assert remnants.tolist() == ([5] if run.preset == "reference" else [])
 
 
 def test_distances_are_to_the_other_side_and_have_the_median_of_the_table(run, folder):

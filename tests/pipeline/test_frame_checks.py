@@ -114,9 +114,10 @@ def test_two_arrays_in_other_frames_are_warned_of_with_both_figures_and_the_sett
     settings = {"graph": {"k": 10}}
     with pytest.warns(UserWarning, match="mirrored in y.*input.sim_frame=carla"):
         wrong = fidpipe.evaluate_pair(real, sim * [1, -1, 1], settings)
+    # warns: error
     mended = fidpipe.evaluate_pair(
         real, sim * [1, -1, 1], settings | {"input": {"sim_frame": "carla"}}
-    )  # warns: error
+    )
     assert mended.summary["match_rate"] > wrong.summary["match_rate"]
     turned = sim * [-1, -1, 1]
     with pytest.warns(UserWarning, match="rotated by") as told:

@@ -175,9 +175,8 @@ def test_labels_their_names_and_T_real_sim_count_as_changes(moved):
     write_manifest(data, "1 0 0 0.5 0 1 0 0 0 0 1 0")
     assert (changed(moved).value, changed(moved).passed) == (1, False)
     write_manifest(data, "")
-    (data / "labels.toml").write_text(
-        '4 = "car"\n'
-    )  # of the pair with labels, not of the other
+    # of the pair with labels, not of the other
+    (data / "labels.toml").write_text('4 = "car"\n')
     assert changed(moved).value == 1
     (data / "labels.toml").write_text('4 = "tree"\n')
     labels = data / "real" / "000.label"

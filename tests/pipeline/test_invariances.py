@@ -75,10 +75,11 @@ def test_on_a_lattice_of_ties_the_graph_is_that_of_the_literal_oracle(
 @tried(100)
 @given(real=lattices, sim=lattices, delta_m=st.sampled_from([1.0, 2.5, 10.0]))
 def test_on_a_lattice_of_ties_the_matching_is_that_of_the_literal_oracle(real, sim, delta_m):
+    # whole metres, so that equal distances are equal to the last bit
     real, sim = (
         np.round(real * 10),
         np.round(sim * 10),
-    )  # whole metres, so that equal distances are equal to the last bit
+    )
     greedy = match_communities(real, sim, MatchingSettings(delta_m=delta_m))
     pairs = zip(greedy.real_ids.tolist(), greedy.sim_ids.tolist(), strict=True)
     expected = literal_method.match_greedy(real, sim, delta_m)

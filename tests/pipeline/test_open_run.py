@@ -165,8 +165,9 @@ def test_a_range_image_has_left_on_the_left_and_the_highest_beam_on_top():
     rays = {"beam": [0, 0, 1, 1, 2, 2, 2], "column": [0, 1, 0, 1, 0, 1, 2], "outcome": outcomes}
     stub = SimpleNamespace(folder="run", table=lambda name, pairs: pa.table(rays))
     outcome = plot_range_image(stub, "a").axes[0].images[0].get_array()
+    # the third column of beam 2 is beyond a turn
     assert outcome.tolist() == [
         [2, 0],
         [5, 3],
         [None, 0],
-    ]  # the third column of beam 2 is beyond a turn
+    ]

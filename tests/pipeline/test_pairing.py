@@ -151,10 +151,11 @@ def test_two_sides_are_paired_by_name_then_by_number_then_by_time(recordings, tm
     ]
     folder, how = dataset_of(*recordings, tmp_path / "c")
     assert "by time" in how and "+96.9000 s" in how
+    # again, over the same manifest
     assert dataset_of(*recordings, tmp_path / "c") == (
         folder,
         how,
-    )  # again, over the same manifest
+    )
     with pytest.raises(DatasetError, match="other scans.*--out"):
         dataset_of(tmp_path / "real", tmp_path / "same", tmp_path / "c")
     (tmp_path / "same").rename(tmp_path / "sim")

@@ -66,9 +66,8 @@ def test_seeds_ablation_and_perturbation_take_it(dataset, tmp_path):
 def test_points_of_classes_that_are_left_out_belong_to_no_object(tmp_path, word, left_out):
     scan = street(seed=1)
     write_pair(tmp_path, scan, drifted(scan))
-    np.digitize(scan[:, 0], [-5, 3]).astype("<u4").tofile(
-        tmp_path / "real" / "a.label"
-    )  # classes 0, 1 and 2
+    # classes 0, 1 and 2
+    np.digitize(scan[:, 0], [-5, 3]).astype("<u4").tofile(tmp_path / "real" / "a.label")
     settings = load(None, ["communities.reference=labels", *word], preset="reference")
     outcome = run(tmp_path, tmp_path / "run", settings)
     assert not outcome.failures

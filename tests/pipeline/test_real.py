@@ -59,8 +59,7 @@ def test_what_a_simulator_loses_shows_with_objects_fixed_on_the_real_side(real_d
         result = evaluate_pair(
             points, points[rng.random(len(points)) < share], {"preset": "reference"}
         )
-        assert (
-            result.summary["match_rate"] > 0.9
-        )  # of a copy that has lost points no object is missing
+        # of a copy that has lost points no object is missing
+        assert result.summary["match_rate"] > 0.9
         cdc[share] = result.summary["cdc_mean"]
     assert 0 < cdc[0.95] < 0.01 < cdc[0.6] < 0.1

@@ -360,9 +360,8 @@ def test_a_user_without_home_and_name_reads_urls_and_runs(bucket, local):
         if name not in ("HOME", "FIDPIPE_CACHE")
     }
     words = ["setpriv", "--reuid=54321", "--regid=54321", "--clear-groups", FIDPIPE, "run"]
-    with (
-        tempfile.TemporaryDirectory() as folder
-    ):  # pytest's folders are those of this user alone
+    with tempfile.TemporaryDirectory() as folder:
+        # pytest's folders are those of this user alone
         shutil.copytree(local / "set", f"{folder}/set")
         Path(folder).chmod(0o777)
         environment["TMPDIR"] = folder

@@ -87,9 +87,8 @@ def test_split_into_sides_and_objects_they_give_the_same(whole, dataset, tmp_pat
         for name, table in toy_results(whole)[0].items()
         if name.startswith("toy_marks")
     )
-    assert (
-        pool.submitted.count("score_objects") == 2 * n_objects
-    )  # before the toy of the pair, and after it
+    # before the toy of the pair, and after it
+    assert pool.submitted.count("score_objects") == 2 * n_objects
     assert_same_results(tmp_path / "run", whole)
 
 

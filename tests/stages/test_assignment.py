@@ -73,11 +73,12 @@ def exchanged(p, u, v):
         exchanged,
         lambda p, u, v: (np.where(p == p[0], p[1], p), u, v),  # one node twice
         lambda p, u, v: (p, u - 1e-7, v),  # prices that prove less
+        # prices above the cost of an arc: no proof
         lambda p, u, v: (
             p,
             u + np.eye(1, len(u), 7)[0],
             v,
-        ),  # prices above the cost of an arc: no proof
+        ),
         lambda p, u, v: (p, u, v * np.nan),
     ],
     ids=["two exchanged", "not one to one", "lower prices", "infeasible prices", "no prices"],

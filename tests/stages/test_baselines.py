@@ -55,9 +55,8 @@ def test_histograms_by_hand():
         np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]),
         np.array([[0.0, 0, 0], [7, 0, 0]]),
     )
-    assert value(histogram, three, two, histogram_bins=2, histogram_order=1) == pytest.approx(
-        0
-    )  # 1/2 lies in the upper half
+    # 1/2 lies in the upper half
+    assert value(histogram, three, two, histogram_bins=2, histogram_order=1) == pytest.approx(0)
     assert value(histogram, three, two, histogram_bins=3, histogram_order=1) == pytest.approx(
         2 / 3 + 2 / 3
     )
@@ -241,9 +240,8 @@ def test_scores_of_synthesis_papers_on_two_scans_worked_out_by_hand():
     assert values["nvs_depth_psnr_db"] == pytest.approx(
         10 * np.log10(80.0**2 * n_pixels / 20.0**2), rel=1e-6
     )
-    assert values["nvs_chamfer_m2"] == pytest.approx(
-        (10.0**2 + 20.0**2) / 2, rel=1e-2
-    )  # of directions of pixels
+    # of directions of pixels
+    assert values["nvs_chamfer_m2"] == pytest.approx((10.0**2 + 20.0**2) / 2, rel=1e-2)
     assert values["nvs_f_score_0p05m2"] == pytest.approx(2 * 1.0 * 0.5 / 1.5)
 
 

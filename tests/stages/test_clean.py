@@ -82,9 +82,8 @@ def test_the_scan_given_is_not_changed():
 
 @pytest.mark.parametrize("frame", ["ros", "carla", "nuscenes", "kitti-cam"])
 def test_agrees_with_the_textbook_on_a_dirty_scan(rng, frame):
-    scan = np.round(
-        rng.normal(0, 4, (800, 3)), 0
-    )  # coarse, so that many points are equal or zero
+    # coarse, so that many points are equal or zero
+    scan = np.round(rng.normal(0, 4, (800, 3)), 0)
     scan[rng.random(800) < 0.05, 1] = np.inf
     T = rigid(30, [1, 2, 0.5])
     box = (2.0, -3.0, -9.0, 5.0, 3.0, 9.0)

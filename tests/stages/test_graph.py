@@ -28,9 +28,8 @@ def as_dict(edges):
 
 
 def test_tau_is_inclusive():
-    points = np.array(
-        [[0.0, 0, 0], [0.25, 0, 0], [0.75, 0, 0], [1, 0, 0]]
-    )  # no point has its nearest across the gap
+    # no point has its nearest across the gap
+    points = np.array([[0.0, 0, 0], [0.25, 0, 0], [0.75, 0, 0], [1, 0, 0]])
     assert (1, 2) in as_dict(build_graph(points, GraphSettings(k=1, tau_m=0.5)))
 
 
@@ -58,9 +57,8 @@ def test_a_crowd_is_only_one_where_its_pairs_are_joined(rng):
 @pytest.mark.parametrize("edges", ["union", "intersection"])
 @pytest.mark.parametrize("ties", ["point_id", "coordinates"])
 def test_tiles_change_no_edge(rng, monkeypatch, edges, ties):
-    points = np.round(
-        rng.uniform(0, 1, (400, 3)) * [6, 1, 1], 1
-    )  # with ties and repeated points
+    # with ties and repeated points
+    points = np.round(rng.uniform(0, 1, (400, 3)) * [6, 1, 1], 1)
     settings = GraphSettings(k=5, tau_m=0.3, edges=edges, ties=ties)
     whole = build_graph(points, settings)
     monkeypatch.setattr(graph, "_TILE_POINTS", 37)

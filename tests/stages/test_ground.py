@@ -34,9 +34,8 @@ def test_fewer_than_eight_points_are_refused():
 
 def test_the_threshold_is_lowered_until_the_loss_is_allowed_and_ends_at_the_peak():
     rng = np.random.default_rng(3)
-    low = np.column_stack(
-        [rng.uniform(-15, 15, (900, 2)), rng.uniform(-1.8, -1.3, 900)]
-    )  # a rough road
+    # a rough road
+    low = np.column_stack([rng.uniform(-15, 15, (900, 2)), rng.uniform(-1.8, -1.3, 900)])
     scan = np.vstack([low, box([8, 0, -0.6], [3, 3, 1.5], 100)])
     strict = remove_ground(scan, GroundSettings(max_variance_loss=0.0))
     assert strict.threshold_m == strict.peak_m

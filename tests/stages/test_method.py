@@ -45,9 +45,8 @@ def scans():
     return real, drifted(real, seed=4)
 
 
-@pytest.mark.filterwarnings(
-    "ignore:the simulated scan covers"
-)  # one of the settings mirrors it
+# one of the settings mirrors it
+@pytest.mark.filterwarnings("ignore:the simulated scan covers")
 @pytest.mark.parametrize(
     "words",
     [

@@ -60,9 +60,8 @@ def test_a_laser_looks_at_the_azimuth_of_its_firing_plus_its_offset():
     elevation_deg = np.degrees(np.arcsin(fire(VLP32C)[:, 2])).reshape(-1, 32)
     assert azimuth_deg[0, 0] == pytest.approx(90.0 - 1.4)
     assert azimuth_deg[0, 1] == pytest.approx(90.0 + 4.2)
-    assert azimuth_deg[10, 1] == pytest.approx(
-        90.0 + 4.2 - 10 * 0.1990656
-    )  # clockwise seen from above
+    # clockwise seen from above
+    assert azimuth_deg[10, 1] == pytest.approx(90.0 + 4.2 - 10 * 0.1990656)
     assert elevation_deg[7, 3] == pytest.approx(-15.639)
 
 

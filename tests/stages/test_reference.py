@@ -69,11 +69,12 @@ def test_the_reach_is_inclusive():
 @pytest.mark.parametrize("backend", ["scikit-network", "python-louvain"])
 def test_the_order_of_rows_does_not_change_an_object(boxes, rng, backend):
     settings = load(None, ["graph.k=8", f"communities.backend={backend}"], preset="reference")
+    # full of ties
     grid = np.stack(np.meshgrid(*[np.arange(5.0)] * 3), axis=-1).reshape(-1, 3) + [
         20,
         0,
         0,
-    ]  # full of ties
+    ]
     points = np.vstack([boxes, grid])
     order = rng.permutation(len(points))
     labels, objects = objects_of(points, settings)
@@ -119,9 +120,8 @@ def test_crumbs_of_a_label_go_to_its_nearest_larger_piece():
     settings = CommunitySettings(objects="reference", reference="labels")
     edges = build_graph(points, GraphSettings())
     found = find_reference_objects(points, edges, settings, Annotation(labels))
-    assert found.tolist() == [0] * 40 + [1] * 31 + [
-        2
-    ]  # the lone pole has no larger piece of its label
+    # the lone pole has no larger piece of its label
+    assert found.tolist() == [0] * 40 + [1] * 31 + [2]
     only_things = Annotation(instances=np.repeat([0, 5], [40, 32]).astype(np.int32))
     of_things = CommunitySettings(objects="reference", reference="instances")
     assert (

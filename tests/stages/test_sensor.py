@@ -269,9 +269,8 @@ def test_beams_that_cross_before_the_axis_are_those_of_a_sensor_whose_beams_do_s
     sensor = SENSORS[name]
     points = room(sensor, lost_share=0.0)
     level = np.hypot(points[:, 0], points[:, 1])
-    points[:, :2] *= ((0.4 * level + sensor.focal_m) / level)[
-        :, None
-    ]  # in a room so small that it matters
+    # in a room so small that it matters
+    points[:, :2] *= ((0.4 * level + sensor.focal_m) / level)[:, None]
     points[:, 2] *= 0.4
     ring = np.tile(np.arange(sensor.n_beams), int(360 / STEP_DEG)) if with_rings else None
     facts = describe_sensor(points, ring)

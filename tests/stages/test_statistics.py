@@ -90,9 +90,8 @@ def test_a_score_that_some_pairs_lack_is_tested_on_the_others():
 def test_equal_simulators_raise_a_false_alarm_in_at_most_one_of_twenty_cases(kind, n):
     repeats = 150
     rate = false_alarms.rates(*false_alarms.DISTRIBUTIONS[kind], n, repeats)[0]
-    assert (
-        rate <= 0.05 + 2.33 * (0.05 * 0.95 / repeats) ** 0.5
-    )  # and its binomial error, one-sided 1 %
+    # and its binomial error, one-sided 1 %
+    assert rate <= 0.05 + 2.33 * (0.05 * 0.95 / repeats) ** 0.5
 
 
 @pytest.mark.parametrize(("n", "one", "two"), [(6, 0.0, 0.2), (10, 0.1, 0.8), (20, 0.6, 1.0)])

@@ -37,11 +37,12 @@ def test_both_sides_alike_have_no_offset_at_all_and_the_same_roughness(rng):
 
 
 def test_nothing_depends_on_the_order_of_rows(rng):
+    # all distances tie
     grid = np.stack(np.meshgrid(*[np.arange(14.0)] * 3), axis=-1).reshape(-1, 3) + [
         3,
         0,
         0,
-    ]  # all distances tie
+    ]
     real = grid
     sim = grid + [0.1, 0.2, 0.3]
     labels = (np.arange(len(grid)) % 7).astype(np.int32)
@@ -132,9 +133,8 @@ def test_strips_of_road_that_one_side_cut_away_are_no_pieces():
     strip = grid(np.arange(-5, 5, 0.5), np.arange(-5, 0, 0.5), [-1.4])
     assert found(scan(CAR, strip), scan(CAR))[2] == found(scan(CAR), scan(CAR))[2]
     alone = scan(CAR, strip, ground=BARE)
-    assert (
-        found(alone, scan(CAR, ground=BARE))[2]["n_missing_pieces"] == 1
-    )  # no road there: surface is missing
+    # no road there: surface is missing
+    assert found(alone, scan(CAR, ground=BARE))[2]["n_missing_pieces"] == 1
 
 
 def test_a_box_that_moved_is_one_missing_and_one_invented_piece_with_the_vector_between_them():
@@ -239,9 +239,8 @@ def test_components_are_those_of_all_links(rng, spread_m):
 
 
 def test_two_dense_clumps_a_link_apart_are_one_component_and_a_little_farther_two(rng):
-    clump = rng.uniform(
-        -0.05, 0.05, (400, 3)
-    )  # the 16 nearest neighbours are all of the own clump
+    # the 16 nearest neighbours are all of the own clump
+    clump = rng.uniform(-0.05, 0.05, (400, 3))
     clump[0] = [0.1, 0, 0]
     clump[1] = [-0.1, 0, 0]
     for gap_m, n_components in ((0.5999, 1), (0.6001, 2)):

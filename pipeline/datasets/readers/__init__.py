@@ -101,9 +101,8 @@ def _reader(ref: ScanRef) -> Iterator[Any]:
         if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
             raise
         reason = f"damaged or of another format ({cause_of(error)}); export it again"
-        if (
-            isinstance(error, OSError) and error.strerror
-        ):  # of the file itself, not of a library
+        if isinstance(error, OSError) and error.strerror:
+            # of the file itself, not of a library
             reason = f"cannot be read ({error.strerror})"
         elif isinstance(error, ModuleNotFoundError):
             reason = f"reading it needs {error.name}"
