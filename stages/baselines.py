@@ -24,7 +24,7 @@ from .reference import visiting_order
 from .selection import Selection
 
 _SEED = 0  # of samples
-# of the network simplex; far more than it needs, so that it always converges
+#: Of the network simplex; far more than it needs, so that it always converges.
 _MAX_PIVOTS = 10**12
 # Range images of LiDAR4D: rows and columns, degrees from the upper edge to the horizon and to the lower edge, range
 _IMAGE_ROWS, _IMAGE_COLUMNS = 66, 1030

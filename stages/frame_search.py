@@ -30,17 +30,15 @@ _REACH_M = 40.0
 _NEAR_M = 1.0
 _GROUND_BAND_M = 0.4
 _MAX_POINTS = 1500
-_MIN_POINTS = (
-    400  # of a scan; with fewer, scans of one place cover each other like scans of two
-)
+#: Points of a scan; with fewer, scans of one place cover each other like scans of two.
+_MIN_POINTS = 400
 _MIN_GROUND_POINTS = 50
 
 _MIN_COVERAGE = 0.6
 MIN_GAIN = 0.15
 _MAX_UNCOVERED_RATIO = 0.6
-MIN_SAME_PLACE = (
-    0.58  # best coverage: scans of one place 0.63 to 0.96, of two places 0.29 to 0.55
-)
+#: Least coverage by the best candidate: scans of one place have 0.63 to 0.96, of two places 0.29 to 0.55.
+MIN_SAME_PLACE = 0.58
 _MIN_LIFT_M = 0.2
 _MIN_SHIFT_M = 0.8
 _MAX_LIFT_LEFT_M = 0.05

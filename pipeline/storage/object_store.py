@@ -19,7 +19,7 @@ _PAUSES_S = (0.5, 1.0, None)  # after each try; none after the last
 _SECONDS_BETWEEN_LINES = 3.0
 _MODIFIED = "modified "
 _STATUS = re.compile(r"status code: (\d+)")
-# where a machine in a cloud asks if the environment has none
+#: Where a machine in a cloud asks for credentials if the environment has none.
 _MACHINE = re.compile("169[.]254[.]|computeMetadata")
 
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from ...schemas.settings import Settings
 
 RUN_JSON = "run.json"
-# records written by others have none
+#: Records written by others have none.
 _SEAL = re.compile(rb',\n  "sha256": "([0-9a-f]{64})"\n}\n\Z')
 SETTINGS_TOML = "settings.toml"
 

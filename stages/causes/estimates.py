@@ -45,9 +45,8 @@ _LEAST_POINTS = 50  # of a side that has a surface to compare
 _LEAST_MOVED_M = 0.005  # mean displacement whose part in the distance is measured
 _NOISY_M = 0.1  # range error that counts as a whole
 _NOISY_DEG = 0.3  # angular error that counts as a whole
-_MANY_SECOND = (
-    0.002  # share of second returns that are removed before anything else is estimated
-)
+#: Share of second returns that are removed before anything else is estimated.
+_MANY_SECOND = 0.002
 _FEWEST_PLACES = 50  # of foliage, or of curved surface
 _LEAF_STEP_M = 0.3
 _FAR_SURFACE_M = 20.0

@@ -31,9 +31,8 @@ TREES_ALONE = 20
 GUARD_DEG = 10.0
 _LEAST_POINTS = 20  # of each side in a fold
 _DENSITY_M = 0.5
-_ROW_WEIGHT = (
-    4.0  # of elevation against azimuth, so that the nearest ray is one of the same beam
-)
+#: Weight of elevation against azimuth, so that the nearest ray is one of the same beam.
+_ROW_WEIGHT = 4.0
 #: Features by family. Each is also tested alone: a single regular ray pattern is enough to recognise every point.
 FAMILIES = {
     "surface": (

@@ -23,9 +23,8 @@ _SLACK_M = 1e-10  # rounding of dual prices: an arc must promise more than this 
 _MOST_GAP_M = 1e-9  # a whole assignment may cost this much per node above its proven minimum
 _ROUNDING = 1e-12  # and this share of its cost
 _ROUNDING_OF_SQUARE = 1e-14  # relative, of a difference of squares
-_OFFSET_STEP_M = (
-    1024.0  # a power of two: the difference is exact, and nearer sets do not change
-)
+#: A power of two: the difference is exact, and nearer sets do not change.
+_OFFSET_STEP_M = 1024.0
 _BLOCK_DISTANCES = 2**20
 
 #: Candidates of each node among a third of the nodes, at most 33; few need more rounds, many make rounds slow.

@@ -15,7 +15,7 @@ from .scan import packed_columns
 #: The message type of a point cloud.
 CLOUD = "foxglove.PointCloud"
 _ENCODINGS = ("protobuf", "cdr")
-# PackedElementField.UINT8 is 1, and so on
+#: PackedElementField.UINT8 is 1, and so on.
 _NUMBERS = (
     "u1",
     "i1",
