@@ -104,6 +104,8 @@ def _reader(ref: ScanRef) -> Iterator[Any]:
         if isinstance(error, OSError) and error.strerror:
             # of the file itself, not of a library
             reason = f"cannot be read ({error.strerror})"
+        elif isinstance(error, MemoryError):
+            reason = f"cannot be read ({cause_of(error)}); too large for the memory, or damaged"
         elif isinstance(error, ModuleNotFoundError):
             reason = f"reading it needs {error.name}"
             if ref.format.extra:
