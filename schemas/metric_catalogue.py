@@ -15,6 +15,7 @@ from typing import Any
 from .data_files import read_rows
 
 _NUMBERS = ("low", "high", "equal", "least", "step", "paper_mean", "paper_std")
+_LAST = 1000
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,8 @@ class Metric:
     equal : value for two identical objects (or scans); None if it depends on the object
     flags : "count" (values are integers), "required" (each finished job has a value), "no-mean" (`pairs` does not have
         mean and standard deviation over the objects)
-    shown_in : position in each place that shows the score, see `docs/extending.md`; in the file `PLACE:POSITION`
+    shown_in : position in each place that shows the score, see `docs/extending.md`; in the file `PLACE:POSITION`,
+        or `PLACE` alone for the end
     compared_as : heading in comparisons if it is not the label
     family : of compared scores; the scores of a family are judged together
     least : a change of the mean over pairs up to this size does not matter to a user
@@ -119,8 +121,11 @@ def _read_metrics() -> Iterator[Metric]:
 
 def _positions(text: str) -> dict[str, int]:
     """Positions of a score by place."""
-    words = [word.split(":") for word in text.split()]
-    return {place: int(position) for place, position in words}
+    positions = {}
+    for word in text.split():
+        place, _, position = word.partition(":")
+        positions[place] = int(position or _LAST)
+    return positions
 
 
 #: Largest distance to the other side at which a point counts as covered, as in names of columns: 0.1, 0.3, 1 m.

@@ -70,7 +70,8 @@ def test_the_worked_objects_are_those_of_the_page_and_the_pictures_can_be_drawn(
     named = re.findall(r"`(\d{4}) (\d+)`", text)
     streets = tmp_path / "streets"
     for index in sorted({int(pair_id) for pair_id, _ in named}):
-        synth.write_pair((streets, synth.recipe_of(0, "vlp32c", None), index))
+        recipe = synth.recipe_of(0, "vlp32c", None)
+        synth.write_pair((streets, f"{index:04d}", recipe, index))
     labels = "".join(f'{number} = "{kind}"\n' for number, kind in enumerate(KINDS))
     (streets / "labels.toml").write_text(labels)
     assert not run(streets, tmp_path / "run").failures
