@@ -6,6 +6,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # Libraries read these when they are loaded, so the imports come after.
+import gc
 import shutil
 import time
 from pathlib import Path
@@ -52,6 +53,11 @@ def pytest_runtest_setup(item):
     minutes = item.config.getoption("--minutes")
     if minutes is not None and time.monotonic() - STARTED > 60 * minutes:
         pytest.skip(f"{item.nodeid}: not reached within {minutes:g} minutes")
+
+
+def pytest_unconfigure():
+    """Commands that ran in this process froze its objects; libraries report those that are never collected."""
+    gc.unfreeze()
 
 
 @pytest.fixture(scope="session", autouse=True)
