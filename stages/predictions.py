@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from .arrays import BoolArray, FloatArray, IndexArray
 from .matching import most_pairs
 
-SAME_WITHIN_M = (
-    2.0  #: boxes of one class are the same at this distance of their centres, or nearer
-)
+#: Boxes of one class are the same if their centres are at most this far apart.
+SAME_WITHIN_M = 2.0
 
 
 @dataclass(frozen=True)

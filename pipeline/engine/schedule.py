@@ -27,9 +27,8 @@ from .time_limit import NOTES
 from .worker import BatchResult, ObjectRows, PairBatch, job_title, run_batch
 
 # How work is cut into batches; no result depends on it.
-PAIRS_PER_WORKER = (
-    2  #: that are begun; with no more left than these, pairs fall into smaller batches
-)
+#: Pairs of each worker that are begun; once no more than these are left, pairs fall into smaller batches.
+PAIRS_PER_WORKER = 2
 WORTH_SPLITTING_S = 1.0  #: if they cost more than this
 BATCH_S = 0.5  #: seconds of objects per batch
 BUNDLE_S = 0.5  #: seconds of small pairs per batch

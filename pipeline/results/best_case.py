@@ -37,9 +37,8 @@ if TYPE_CHECKING:
 
 BEST_CASE_DATASET = "dataset"
 BEST_CASE_RECIPE = "best_case.toml"
-AS_MEASURED: Literal["measured"] = (
-    "measured"  #: noise or losses that each real scan shows itself
-)
+#: Noise or losses that each real scan shows itself.
+AS_MEASURED: Literal["measured"] = "measured"
 #: What has a best case: columns of `pairs`.
 SCORES = ("n_not_found", "n_extra", *RUN_SCORES)
 

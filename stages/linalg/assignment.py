@@ -112,9 +112,9 @@ def _cheapest(
     other_nodes: FloatArray,
     price: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Smallest and sixth smallest |x_i - y_j| - price_j for each node i, (n,); in single precision.
+    """Smallest |x_i - y_j| - price_j for each node i, (n,), and the limit below which six are; in single precision.
 
-    The sixth of a third of the nodes is about the eighteenth of all.
+    Six of a third of the nodes are about eighteen of all.
     """
     x = nodes.astype(np.float32)
     y = other_nodes.astype(np.float32)

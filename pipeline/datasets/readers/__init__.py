@@ -97,7 +97,7 @@ def _reader(ref: ScanRef) -> Iterator[Any]:
     except FidpipeError:
         raise
     except BaseException as error:
-        # what a library in Rust raises is no Exception
+        # panics of libraries in Rust are not subclasses of Exception
         if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
             raise
         reason = f"damaged or of another format ({cause_of(error)}); export it again"
