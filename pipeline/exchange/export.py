@@ -7,6 +7,7 @@ scalar fields as CloudCompare names them. All numbers keep 64 bits.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib.util import find_spec
 from itertools import product
@@ -260,4 +261,6 @@ def _write_bag(
                     writer.write(
                         connections[topic], time_ns, store.serialize_cdr(message, kind)
                     )
+            with (bag / "bag.mcap").open("rb") as file:
+                os.fsync(file.fileno())
             (bag / "bag.mcap").replace(path)
